@@ -1,0 +1,93 @@
+"""The BRDF: a function of a pair of directions, and sums and multiples of such."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float, Real
+from hshjax.geometry import dot
+
+
+def bounded(low: float, high: float, **kwargs) -> Any:
+    """A parameter field that a fit keeps in [low, high] (`bounds` in the field's metadata); arrays of any float dtype."""
+    return eqx.field(converter=jnp.asarray, metadata={"bounds": (low, high)}, **kwargs)
+
+
+class AbstractBRDF(eqx.Module):
+    """ρ(wi, wo) [sr^-1]: reflected radiance over irradiance, cosine NOT included.
+
+    `wi` and `wo` are unit directions `(*batch, 3)` in the local frame (normal +z), both pointing AWAY from the surface;
+    they broadcast against each other. The result is `(*batch, channels)` in the dtype of the directions. Outside the
+    open hemisphere (z <= 0 in either direction) a BRDF is 0, with zero gradient.
+
+    A final class writes one formula, `formula(wi, wo)`, and may take for granted that both z > 0. `a + b`, `2.0 * a`
+    and `a * scale` make new BRDFs.
+    """
+
+    @abc.abstractmethod
+    def formula(self, wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]) -> Float[Array, "*batch channels"]:
+        """The BRDF [sr^-1] at directions of equal shape strictly above the horizon."""
+
+    def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
+        wi, wo = jnp.asarray(wi), jnp.asarray(wo)
+        shape = jnp.broadcast_shapes(wi.shape, wo.shape)
+        wi, wo = jnp.broadcast_to(wi, shape), jnp.broadcast_to(wo, shape)
+        above = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
+        # Directions below are replaced before the formula sees them: a masked infinity would still poison the gradient.
+        pole = jnp.zeros(shape, wi.dtype).at[..., 2].set(1)
+        value = in_dtype(self, wi.dtype).formula(jnp.where(above, wi, pole), jnp.where(above, wo, pole))
+        return jnp.where(above, value, jnp.zeros_like(value))
+
+    def __add__(self, other: "AbstractBRDF") -> "SumBRDF":
+        if not isinstance(other, AbstractBRDF):
+            return NotImplemented
+        return SumBRDF(self, other)
+
+    def __mul__(self, scale: Real | float) -> "ScaledBRDF":
+        if isinstance(scale, AbstractBRDF):
+            raise TypeError("a product of two BRDFs is not a BRDF (its unit would be sr^-2); scale by a number")
+        return ScaledBRDF(self, scale)
+
+    __rmul__ = __mul__
+
+
+class SumBRDF(AbstractBRDF):
+    """a + b; channels broadcast (one channel against many)."""
+
+    a: AbstractBRDF
+    b: AbstractBRDF
+
+    def formula(self, wi, wo):
+        return self.a.formula(wi, wo) + self.b.formula(wi, wo)
+
+
+class ScaledBRDF(AbstractBRDF):
+    """scale x brdf; `scale` is a scalar or one factor per channel."""
+
+    brdf: AbstractBRDF
+    scale: Real = bounded(0.0, float("inf"))
+
+    def formula(self, wi, wo):
+        return per_channel(self.scale, wi) * self.brdf.formula(wi, wo)
+
+
+def in_dtype(brdf: AbstractBRDF, dtype) -> AbstractBRDF:
+    """The same BRDF with its floating leaves in `dtype`: results follow the directions."""
+
+    def cast(leaf):
+        return leaf.astype(dtype) if eqx.is_inexact_array(leaf) and leaf.dtype != dtype else leaf
+
+    return jax.tree.map(cast, brdf)
+
+
+def per_channel(parameter: Real, w: Float[Array, "*batch 3"]) -> Real:
+    """A scalar or `(channels,)` parameter with leading axes for the batch, ready to meet `(*batch, channels)`."""
+    return jnp.reshape(parameter, (1,) * (w.ndim - 1) + (-1,))
+
+
+def cosines(wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]) -> tuple[Real, Real, Real]:
+    """cos θ_i, cos θ_o and wi·wo, each `(*batch, 1)`."""
+    return wi[..., 2:], wo[..., 2:], dot(wi, wo)[..., None]

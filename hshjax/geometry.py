@@ -1,0 +1,72 @@
+"""Directions, angles, charts and frames.
+
+Local frame: the normal is +z. Directions are unit vectors that point away from the surface, `(*batch, 3)`; angles
+appear only at the edges (readers, plots), in radians, θ from the normal and φ from +x towards +y.
+"""
+
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float, Real
+
+
+def direction(theta: Real, phi: Real) -> Float[Array, "*batch 3"]:
+    """The unit vector at polar angle θ and azimuth φ [radians]; θ and φ broadcast."""
+    theta, phi = jnp.broadcast_arrays(theta, phi)
+    sin = jnp.sin(theta)
+    return jnp.stack([sin * jnp.cos(phi), sin * jnp.sin(phi), jnp.cos(theta)], axis=-1)
+
+
+def angles(w: Float[Array, "*batch 3"]) -> tuple[Float[Array, " *batch"], Float[Array, " *batch"]]:
+    """(θ, φ) of a unit vector [radians], φ in (-π, π]; accurate near the pole, where arccos is not."""
+    rim = jnp.hypot(w[..., 0], w[..., 1])
+    return jnp.arctan2(rim, w[..., 2]), jnp.arctan2(w[..., 1], w[..., 0])
+
+
+def normalized(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """v / |v|; the zero vector stays zero, with zero gradient."""
+    square = jnp.sum(v * v, axis=-1, keepdims=True)
+    nonzero = square > 0
+    return jnp.where(nonzero, v / jnp.sqrt(jnp.where(nonzero, square, 1)), 0)
+
+
+def half_vector(wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """h = (wi + wo) / |wi + wo|."""
+    return normalized(wi + wo)
+
+
+def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array, " *batch"]:
+    """Scalar product along the last axis."""
+    return jnp.sum(a * b, axis=-1)
+
+
+def upper(z: Real) -> Real:
+    """z on the closed hemisphere, 0 below it. The derivative at z = 0 is that from above, 1 (`maximum` would say 1/2)."""
+    return jnp.where(z >= 0, z, 0)
+
+
+def to_disk(w: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
+    """Equal-area chart of the hemisphere onto the unit disk, (x, y) / sqrt(1 + z): the disk that `Zernike` lives on."""
+    return w[..., :2] / jnp.sqrt(1 + upper(w[..., 2:]))
+
+
+def to_sphere(w: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """Equal-area chart (up to the factor 2) of the hemisphere onto the sphere, the one that `HSH` stretches along."""
+    z = upper(w[..., 2:])
+    above = z > 0
+    root = jnp.where(above, jnp.sqrt(jnp.where(above, 4 * z / (1 + z), 1)), 0)
+    return jnp.concatenate([root * w[..., :2], 2 * z - 1], axis=-1)
+
+
+def frame(normal: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
+    """A rotation R with R @ normal = (0, 0, 1): rows are tangent, bitangent, normal. Smooth away from normal = -z.
+
+    Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017, on the branch z >= 0; the other
+    branch has its seam at z = 0.
+    """
+    x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
+    sign = jnp.where(z >= 0, 1, -1).astype(normal.dtype)
+    a = -1 / (sign + z)
+    b = x * y * a
+    tangent = jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
+    bitangent = jnp.stack([b, sign + y * y * a, -y], axis=-1)
+    return jnp.stack([tangent, bitangent, normal], axis=-2)

@@ -1,0 +1,72 @@
+"""Samples: the one data type that readers make and fitters take."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float, PairFunction
+from hshjax.quadrature import PairRule
+
+
+class Samples(eqx.Module):
+    """Values of a BRDF at pairs of directions.
+
+    - `wi`, `wo`: unit directions `(n, 3)`, local frame (normal +z), both away from the surface.
+    - `value`: the BRDF `(n, channels)` [sr^-1], cosine not included.
+    - `weight`: `(n,)`, solid angle of a quadrature node [sr²] or a confidence; 0 masks a sample.
+    - `degree`, `isotropic`: set where the samples are the nodes of a rule that is exact to this degree
+      (see `hshjax.quadrature`), None for scattered samples. Changing weights makes samples scattered.
+
+    **Raises:** ValueError where the shapes disagree.
+    """
+
+    wi: Float[Array, "n 3"] = eqx.field(converter=jnp.asarray)
+    wo: Float[Array, "n 3"] = eqx.field(converter=jnp.asarray)
+    value: Float[Array, "n channels"] = eqx.field(converter=jnp.asarray)
+    weight: Float[Array, " n"] = eqx.field(converter=jnp.asarray)
+    degree: int | None = eqx.field(static=True, default=None)
+    isotropic: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        n = self.wi.shape[0]
+        expected = {"wi": (n, 3), "wo": (n, 3), "value": (n, *self.value.shape[1:2]), "weight": (n,)}
+        for name, shape in expected.items():
+            got = getattr(self, name).shape
+            if got != shape or (name == "value" and len(got) != 2):
+                raise ValueError(
+                    "Samples needs wi (n, 3), wo (n, 3), value (n, channels), weight (n,); "
+                    f"got n = {n} from wi and {name} of shape {got}"
+                )
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return self.wi.shape[0]
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return self.value.shape[1]
+
+    @classmethod
+    def from_function(cls, brdf: PairFunction, rule: PairRule) -> "Samples":
+        """`brdf(wi, wo)` at the nodes of a pair rule, weighted by solid angle. A result `(n,)` becomes one channel."""
+        value = jnp.asarray(brdf(rule.wi, rule.wo))
+        if value.ndim == 1:
+            value = value[:, None]
+        return cls(rule.wi, rule.wo, value, rule.weight, rule.degree, rule.isotropic)
+
+    @classmethod
+    def scattered(
+        cls,
+        wi: Float[Array, "n 3"],
+        wo: Float[Array, "n 3"],
+        value: Float[Array, "n channels"],
+        weight: Float[Array, " n"] | None = None,
+    ) -> "Samples":
+        """Samples at arbitrary pairs; every weight 1 unless given."""
+        wi = jnp.asarray(wi)
+        return cls(wi, wo, value, jnp.ones(wi.shape[0], wi.dtype) if weight is None else weight)
+
+    def reweighted(self, weight: Float[Array, " n"]) -> "Samples":
+        """The same samples under other weights: scattered from now on."""
+        return Samples(self.wi, self.wo, self.value, weight)

@@ -1,0 +1,29 @@
+"""The suite runs in float64 (`make test` runs a second leg with HSHJAX_TEST_DTYPE=float32), with strict promotion,
+warnings as errors and shapes checked at run time."""
+
+import os
+from pathlib import Path
+
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+DTYPE = os.environ.get("HSHJAX_TEST_DTYPE", "float64")
+if DTYPE not in ("float64", "float32"):
+    raise ValueError(f"HSHJAX_TEST_DTYPE must be float64 or float32, got {DTYPE!r}")
+jax.config.update("jax_enable_x64", DTYPE == "float64")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Every annotated function of the library checks its shapes while the tests run.
+_hook = install_import_hook("hshjax", "beartype.beartype")
+_hook.__enter__()
+
+
+@pytest.fixture
+def data() -> Path:
+    """The folder of real data, or a skip that says how to get it."""
+    folder = os.environ.get("HSHJAX_DATA")
+    if not folder:
+        pytest.skip("real data: set HSHJAX_DATA to the folder that holds rgl/, diligent/, ...")
+    return Path(folder)
