@@ -1,0 +1,84 @@
+# Needs Python >= 3.11, make and a package index. Everything else is installed, as locked in uv.lock, into $(VENV).
+
+PYTHON ?= python3
+VENV ?= .venv
+UV_VERSION := 0.13.9
+
+PYTHON_IN_VENV := $(VENV)/bin/python
+# uv installs into this environment only, and never fetches an interpreter.
+UV := UV_PYTHON_DOWNLOADS=never UV_PYTHON=$(abspath $(PYTHON_IN_VENV)) UV_PROJECT_ENVIRONMENT=$(abspath $(VENV)) $(VENV)/bin/uv
+PYTEST := $(PYTHON_IN_VENV) -m pytest
+# Extra arguments of every pytest run: make test PYTEST_ARGS="-x -k basis"
+PYTEST_ARGS ?=
+# Interpreters of `make test-matrix`.
+MATRIX := 3.11 3.12 3.13
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help demo test test-float64 test-float32 test-slow test-matrix check lock bench clean setup
+
+help: ## List the targets
+	@sed -n 's/^\([a-z0-9-]*\):.*## \(.*\)/\1|\2/p' $(firstword $(MAKEFILE_LIST)) | while IFS='|' read -r target text; do \
+		printf '  make %-14s %s\n' "$$target" "$$text"; done
+	@echo "Variables: PYTHON=$(PYTHON) (interpreter for a new environment), VENV=$(VENV), PYTEST_ARGS"
+
+demo: $(VENV)/.installed ## Run configs/quickstart.toml; prints where its report is
+	$(PYTHON_IN_VENV) -m experiments configs/quickstart.toml
+
+test: test-float64 test-float32 ## Run the suite in float64, then in float32 (without the slow tests)
+
+test-float64: $(VENV)/.installed
+	HSHJAX_TEST_DTYPE=float64 $(PYTEST) $(PYTEST_ARGS)
+
+test-float32: $(VENV)/.installed
+	HSHJAX_TEST_DTYPE=float32 $(PYTEST) $(PYTEST_ARGS)
+
+test-slow: $(VENV)/.installed ## Run the tests marked slow (minutes), in float64
+	HSHJAX_TEST_DTYPE=float64 $(PYTEST) -m slow $(PYTEST_ARGS)
+
+# pyenv puts a shim on PATH even for a version that is not selected, so an interpreter counts only if it runs.
+test-matrix: ## Run `make test` on every Python of 3.11, 3.12, 3.13 that is installed
+	@found=; for version in $(MATRIX); do \
+		for python in python$$version "$${PYENV_ROOT:-$$HOME/.pyenv}"/versions/$$version.*/bin/python3; do \
+			"$$python" -c "" 2>/dev/null || continue; \
+			found="$$found $$version"; echo "== Python $$version: $$python"; \
+			$(MAKE) --no-print-directory test PYTHON="$$python" VENV=.venv-$$version || exit 1; \
+			break; \
+		done; \
+	done; \
+	if [ -z "$$found" ]; then echo "none of Python $(MATRIX) found on PATH or in pyenv" >&2; exit 1; fi; \
+	echo "passed on Python$$found"
+
+check: $(VENV)/.installed-check ## Lint, formatting, types, and the floors of the architecture
+	$(VENV)/bin/ruff check .
+	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/pyright --pythonpath $(PYTHON_IN_VENV) hshjax
+	$(PYTEST) -q tests/test_layers.py
+
+lock: $(VENV)/.installed ## Resolve pyproject.toml into uv.lock anew
+	$(UV) lock --upgrade
+
+bench: $(VENV)/.installed ## Run the benchmarks (not part of the tests)
+	$(PYTHON_IN_VENV) -m benchmarks
+
+setup: $(VENV)/.installed ## Create the environment only
+
+clean: ## Remove environments, caches and build outputs; runs/ stays
+	rm -rf $(VENV) .venv-3.* .pytest_cache .ruff_cache .hypothesis build dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(PYTHON_IN_VENV):
+	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit( \
+		"hshjax needs Python >= 3.11; $(PYTHON) is " + sys.version.split()[0] + ". Choose another: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+
+# Order-only: the interpreter behind the link may be older or newer than the stamp, that means nothing.
+$(VENV)/.installed: pyproject.toml uv.lock | $(PYTHON_IN_VENV)
+	@$(PYTHON_IN_VENV) -m ensurepip >/dev/null # an environment that uv made has no pip
+	$(PYTHON_IN_VENV) -m pip install --quiet --disable-pip-version-check uv==$(UV_VERSION)
+	$(UV) sync --frozen --inexact --all-extras
+	@touch $@
+
+$(VENV)/.installed-check: $(VENV)/.installed
+	$(UV) sync --frozen --inexact --all-extras --group check
+	@touch $@
