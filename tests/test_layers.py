@@ -172,7 +172,7 @@ def test_no_file_imports_pickle(path):
 
 
 def test_library_imports_only_its_declared_dependencies():
-    """So that a plain install has them; floor 7 may use the extra `experiments`. Import and package names agree here."""
+    """So that a plain install has them; floor 7 may use the extra `experiments`. Import and package names agree."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
     def package_names(requirements):

@@ -1,0 +1,1 @@
+"""Studies driven by configuration: `python -m experiments --help`."""
