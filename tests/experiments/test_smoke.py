@@ -1,0 +1,53 @@
+"""Every recipe runs end to end on its small config, and gives the same metrics for the same seed."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments import config as configs, recipes
+
+ROOT = Path(__file__).parents[2]
+SMOKE = sorted((ROOT / "configs" / "smoke").glob("*.toml"))
+
+
+@pytest.fixture(autouse=True)
+def _needed_data(request):
+    """Skips a config on measured data where there is none."""
+    path = request.node.callspec.params.get("path") if hasattr(request.node, "callspec") else None
+    if isinstance(path, Path) and "$HSHJAX_DATA" in path.read_text(encoding="utf-8"):
+        request.getfixturevalue("data")
+
+
+def test_every_recipe_has_a_smoke_config():
+    used = {line for path in SMOKE for line in path.read_text(encoding="utf-8").splitlines() if "recipe" in line}
+    assert [name for name in recipes.available() if f'recipe = "{name}"' not in used] == []
+
+
+ALL = sorted((ROOT / "configs").rglob("*.toml"))
+
+
+@pytest.mark.parametrize("path", ALL, ids=[str(path.relative_to(ROOT)) for path in ALL])
+def test_every_config_is_valid(path):
+    configs.load(path)
+
+
+@pytest.mark.skipif(
+    os.environ.get("HSHJAX_TEST_DTYPE") == "float32", reason="a config chooses its own precision: once is enough"
+)
+@pytest.mark.parametrize("path", SMOKE, ids=[path.stem for path in SMOKE])
+def test_smoke_runs_repeat(path, tmp_path):
+    """In processes of their own, for a run configures jax: two of them share nothing but the seed."""
+    metrics = []
+    for runs in (tmp_path / "first", tmp_path / "second"):
+        done = subprocess.run(
+            [sys.executable, "-m", "experiments", str(path), "--runs", str(runs)],
+            cwd=ROOT, capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        (folder,) = runs.iterdir()
+        assert (folder / "report.html").stat().st_size > 0
+        metrics.append((folder / "metrics.json").read_text())
+    assert metrics[0] == metrics[1]
