@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Int, Real
+from hshjax._typing import Array, Float, Int, Real
 
 Carry = TypeVar("Carry")
 
@@ -137,6 +137,30 @@ def azimuthal_fold(
 
     one = (jnp.ones_like(square[0]), jnp.zeros_like(square[0]))
     return jax.lax.fori_loop(0, orders, step, (one, one, carry))[2]
+
+
+def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array, "orders degrees points"]:
+    """Every p_j^m(x); entries past an order's count are zero."""
+    start, *columns = (jnp.asarray(table, x.dtype) for table in tables[:4])
+    present = jnp.asarray(np.arange(tables.slope.shape[1])[:, None] < tables.count[None, :])
+
+    def step(state, coefficients):
+        previous, current = state
+        slope, shift, back, here = coefficients
+        following = (slope[:, None] * x[None] + shift[:, None]) * current - back[:, None] * previous
+        following = jnp.where(here[:, None], following, 0)
+        return (current, following), following
+
+    first = jnp.broadcast_to(start[:, None], (start.size, x.size))
+    columns = [*(column.T[1:] for column in columns), present[1:]]
+    _, rest = jax.lax.scan(step, (jnp.zeros_like(first), first), tuple(columns))
+    return jnp.swapaxes(jnp.concatenate([first[None], rest]), 0, 1)
+
+
+def powers(square: tuple[Real, Real], odd: tuple[Real, Real], orders: int) -> Float[Array, "2 orders points"]:
+    """(Re, Im) of s^m for m < orders, given s² and s."""
+    rows = jnp.zeros((2, orders, square[0].size), square[0].dtype)
+    return azimuthal_fold(square, odd, orders, rows, lambda m, re, im, rows: rows.at[:, m].set(jnp.stack([re, im])))
 
 
 def blockwise(function: Callable[..., Array], block: int, *arrays: Array) -> Array:

@@ -55,6 +55,21 @@ def azimuth_nodes(degree: int) -> np.ndarray:
     return 2 * np.pi * np.arange(n) / n
 
 
+def graded_azimuths(levels: int, order: int, *, nodes: int = 16) -> tuple[np.ndarray, np.ndarray]:
+    """φ in (-π, π) and weights with sum 2π, host float64: Gauss panels halved `levels` times towards φ = 0 and φ = ±π.
+
+    For functions with narrow lobes there (specular, retro-reflective). Panels are no wider than a period of cos(order φ),
+    so that products with it stay accurate.
+    """
+    width = min(np.pi / 4, 2 * np.pi / max(order, 1))
+    edges = np.unique(np.r_[0, np.pi / 2 ** np.arange(1.0, levels + 1), np.arange(0, np.pi / 2, width)])
+    edges = np.r_[edges, np.pi - edges[-2::-1]]
+    t, weight = np.polynomial.legendre.leggauss(nodes)
+    half = np.diff(edges)[:, None] / 2
+    phi, dphi = (edges[:-1, None] + half * (1 + t)).ravel(), (half * weight).ravel()
+    return np.r_[-phi[::-1], phi], np.r_[dphi[::-1], dphi]
+
+
 def hemisphere_rule(degree: int, *, sqrt: bool = False, dtype=None) -> Rule:
     """Gauss-Legendre in z (or in v, z = v²) x equispaced φ."""
     z, weight = polar_nodes(degree, sqrt=sqrt)

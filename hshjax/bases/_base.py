@@ -165,8 +165,11 @@ def _block_gradients(basis: AbstractBasis, exact: bool, coefficients: Array, w: 
     return jax.vmap(directional, out_axes=-1)(jnp.eye(3, dtype=w.dtype))
 
 
-def _differentiable(block_function):
-    """Exact trip counts for values; padded ones wherever a derivative is taken, so that every order of it exists."""
+def differentiable(block_function):
+    """`block_function(basis, exact, *arrays)` as a function of (basis, *arrays).
+
+    Exact trip counts for values; padded ones wherever a derivative is taken, so that every order of it exists.
+    """
 
     @partial(jax.custom_jvp, nondiff_argnums=(0,))
     def run(basis, *args):
@@ -179,8 +182,8 @@ def _differentiable(block_function):
     return run
 
 
-_rows_of_block = _differentiable(_block_rows)
-_gradients_of_block = _differentiable(_block_gradients)
+_rows_of_block = differentiable(_block_rows)
+_gradients_of_block = differentiable(_block_gradients)
 
 
 def _rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:

@@ -52,12 +52,15 @@ def full_triangle(order: int) -> tuple[tuple[int, int], ...]:
     return tuple((n, m) for n in range(order + 1) for m in range(-n, n + 1))
 
 
+def sine_power_integral(m: int) -> float:
+    """∫_0^1 (1 - t²)^m dt = Π_{k<=m} 2k / (2k + 1): a product of ratios, where factorials would overflow."""
+    return float(np.prod([2 * k / (2 * k + 1) for k in range(1, m + 1)]))
+
+
 @lru_cache
 def _tables(order: int) -> RadialTables:
-    # Weight (1 - t²)^m, dω = dt/2 dφ; the azimuth integrates to π (2π at m = 0).
-    # ∫ (1 - t²)^m dt = 2 Π_{k<=m} 2k / (2k + 1): a product of ratios, where a quotient of factorials would overflow.
+    # Weight (1 - t²)^m on [-1, 1], dω = dt/2 dφ; the azimuth integrates to π (2π at m = 0).
     def first_norm(m):
-        weight = np.prod([2 * k / (2 * k + 1) for k in range(1, m + 1)])
-        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * weight)
+        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * sine_power_integral(m))
 
     return radial_tables([order - m + 1 for m in range(order + 1)], first_norm, lambda m, n: jacobi_matrix(m, m, n))

@@ -8,7 +8,7 @@ import numpy as np
 from hshjax._special import RadialTables, radial_tables, stieltjes_matrix
 from hshjax._typing import Array, Float
 from hshjax.bases._base import AbstractBasis, Chart, checked_order
-from hshjax.bases._hsh import full_triangle
+from hshjax.bases._hsh import full_triangle, sine_power_integral
 from hshjax.geometry import upper
 
 
@@ -46,7 +46,7 @@ def _tables(order: int) -> RadialTables:
     nodes, weights = (nodes + 1) / 2, weights / 2
 
     def first_norm(m):
-        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * np.sum(weights * (1 - nodes**2) ** m))
+        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * sine_power_integral(m))
 
     return radial_tables(
         [order - m + 1 for m in range(order + 1)],

@@ -1,0 +1,147 @@
+"""Reciprocal functions of an isotropic material: dependence on φ_i - φ_o only."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._special import powers, radial_rows
+from hshjax._typing import Array
+from hshjax.bases._base import AbstractBasis, Chart
+from hshjax.bases._pairs import AbstractPairBasis, Entries
+
+
+class IsotropicBasis(AbstractPairBasis):
+    """The isotropic subspace of `HelmholtzBasis(basis)`.
+
+        m >= 0:  N cos(m Δφ) [R_n^m(i) R_p^m(o) + R_p^m(i) R_n^m(o)],   n <= p,   Δφ = φ_i - φ_o
+        m < 0:   N sin(|m| Δφ) [R_n^m(i) R_p^m(o) - R_p^m(i) R_n^m(o)],  n < p
+
+    with R_n^m the radial part of the basis (its azimuth taken off) and N = 1/sqrt(2 (1 + δ_np) (2 - δ_m0)). The
+    second line is absent under bilateral symmetry (invariance under Δφ -> -Δφ), the default. `modes` holds (n, p, m).
+
+    Evaluation contracts one small matrix per |m|: Σ k_m² operations for k_m radial functions, where the full
+    Helmholtz basis takes (Σ k_m)².
+    """
+
+    basis: AbstractBasis
+    bilateral: bool = eqx.field(static=True, default=True)
+
+    @property
+    def modes(self) -> tuple[tuple[int, int, int], ...]:
+        return _modes(self.basis, self.bilateral)
+
+    @property
+    def reciprocal(self) -> bool:
+        return True
+
+    def entries(self) -> Entries:
+        columns, n = self.basis.columns(), self.table()
+        mode = np.arange(n.m.size)
+        cosine, sine = columns[..., 0], columns[..., 1]
+        parts = []
+        # cos mΔφ = cos cos + sin sin; sin mΔφ = sin cos - cos sin, written as matrices over the tensor basis.
+        for pick, left, right, signs in (
+            (~n.sine, cosine, cosine, (1, 1)),
+            (~n.sine & (n.m > 0), sine, sine, (1, 1)),
+            (n.sine, sine, cosine, (1, -1)),
+            (n.sine, cosine, sine, (-1, 1)),
+        ):
+            m, j, k = n.m[pick], n.j[pick], n.k[pick]
+            parts.append((mode[pick], left[m, j], right[m, k], signs[0] * n.norm[pick]))
+            parts.append((mode[pick], left[m, k], right[m, j], signs[1] * n.norm[pick]))
+        return Entries(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def table(self) -> "RadialModes":
+        """The columns in terms of radial functions."""
+        return _radial_modes(self.basis, self.bilateral)
+
+    def block_rows(self, wi, wo):
+        return _rows(self, wi, wo)
+
+    def block_sums(self, coefficients, wi, wo):
+        n = self.table()
+        orders, degrees = self.basis.tables().slope.shape
+        weighted = jnp.asarray(n.norm, coefficients.dtype)[:, None] * coefficients
+
+        def matrices(pick, sign):
+            m, j, k = n.m[pick], n.j[pick], n.k[pick]
+            zero = jnp.zeros((orders, degrees, degrees, coefficients.shape[1]), coefficients.dtype)
+            return zero.at[m, j, k].add(weighted[pick]).at[m, k, j].add(sign * weighted[pick])
+
+        kinds = [matrices(~n.sine, 1)] if self.bilateral else [matrices(~n.sine, 1), matrices(n.sine, -1)]
+        return _sums(self, jnp.stack(kinds), wi, wo)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.basis, self.bilateral))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, IsotropicBasis) and (self.basis, self.bilateral) == (other.basis, other.bilateral)
+
+
+class RadialModes(NamedTuple):
+    """One entry a column, host arrays: azimuthal order m >= 0, radial indices j and k, sine or cosine, norm N."""
+
+    m: np.ndarray
+    j: np.ndarray
+    k: np.ndarray
+    sine: np.ndarray
+    norm: np.ndarray
+
+
+@lru_cache
+def _modes(basis: AbstractBasis, bilateral: bool) -> tuple[tuple[int, int, int], ...]:
+    orders = [[n for n, mode_m in basis.modes if mode_m == m] for m in range(basis.order + 1)]
+    cosines = [(n, p, m) for m, ns in enumerate(orders) for p in ns for n in ns if n <= p]
+    sines = [] if bilateral else [(n, p, -m) for n, p, m in cosines if m > 0 and n < p]
+    # Ordered by the larger order first: a lower order is a prefix of a higher one.
+    return tuple(sorted(cosines + sines, key=lambda mode: (mode[1], mode[0], abs(mode[2]), mode[2] < 0)))
+
+
+@lru_cache
+def _radial_modes(basis: AbstractBasis, bilateral: bool) -> RadialModes:
+    modes = _modes(basis, bilateral)
+    j, k = (np.array([basis.radial_index(mode[side], mode[2]) for mode in modes]) for side in (0, 1))
+    m = np.array([mode[2] for mode in modes])
+    norm = 1 / np.sqrt(2 * (1 + (j == k)) * np.where(m == 0, 1, 2))
+    return RadialModes(np.abs(m), j, k, m < 0, norm)
+
+
+def _difference_chart(i: Chart, o: Chart) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """s² and s of the pair, s = s_i conj(s_o): its powers carry cos and sin of m (φ_i - φ_o)."""
+
+    def times_conjugate(a, b):
+        return a[0] * b[0] + a[1] * b[1], a[1] * b[0] - a[0] * b[1]
+
+    return times_conjugate(i.square, o.square), times_conjugate(i.odd, o.odd)
+
+
+def _factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+    """Radial functions of either direction, `(orders, degrees, pairs)`, and (Re, Im) s^m, `(2, orders, pairs)`.
+
+    All azimuthal orders advance together: the arrays are small, and a loop step costs more than its arithmetic.
+    """
+    tables = pairs.basis.tables()
+    chart_i, chart_o = pairs.basis.chart(wi), pairs.basis.chart(wo)
+    square, odd = _difference_chart(chart_i, chart_o)
+    return radial_rows(tables, chart_i.x), radial_rows(tables, chart_o.x), powers(square, odd, tables.count.size)
+
+
+def _sums(pairs: IsotropicBasis, matrices: Array, wi: Array, wo: Array) -> Array:
+    """Σ_m Re|Im(s^m) R(i)ᵀ A_m R(o), `matrices` (cosine | sine, orders, degrees, degrees, channels)."""
+    ri, ro, azimuth = _factors(pairs, wi, wo)
+    total = jnp.zeros((matrices.shape[-1], wi.shape[0]), wi.dtype)
+    for kind in range(matrices.shape[0]):
+        product = jnp.einsum("mjkc,mkp->mjcp", matrices[kind], ro, precision="highest")
+        total += jnp.einsum("mjcp,mjp->cp", product, ri * azimuth[kind][:, None], precision="highest")
+    return total.T
+
+
+def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:
+    n = pairs.table()
+    ri, ro, azimuth = _factors(pairs, wi, wo)
+    swapped = jnp.asarray(np.where(n.sine, -1, 1), wi.dtype)[:, None] * ri[n.m, n.k] * ro[n.m, n.j]
+    radial = jnp.asarray(n.norm, wi.dtype)[:, None] * (ri[n.m, n.j] * ro[n.m, n.k] + swapped)
+    return (azimuth[n.sine.astype(np.int32), n.m] * radial).T

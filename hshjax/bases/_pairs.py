@@ -1,0 +1,227 @@
+"""Functions of a pair of directions: h(wi)ᵀ A h(wo) with A free, and with A symmetric (Helmholtz reciprocity)."""
+
+import abc
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._special import blockwise
+from hshjax._typing import Array, Float, Real
+from hshjax.bases._base import AbstractBasis, check_modes, common_dtype, matmul
+
+PAIR_BLOCK = 512
+"""Pairs a block: rows of order 16 for both directions, and their product with A, then stay in the cache."""
+
+
+class Entries(NamedTuple):
+    """A pair basis inside the tensor basis: column `mode` is Σ value h_a(wi) h_b(wo) over its entries. Host arrays."""
+
+    mode: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    value: np.ndarray
+
+
+class AbstractPairBasis(eqx.Module):
+    """Functions of (wi, wo) [sr^-1], orthonormal for dω_i dω_o on the product of two hemispheres.
+
+    Directions are unit vectors in the local frame, both away from the surface; `wi` and `wo` broadcast. Columns are
+    ordered by the larger of the two orders first, so that a lower order is a prefix of a higher one (but for
+    `TensorBasis`, whose coefficients are a matrix read row by row).
+    """
+
+    basis: eqx.AbstractVar[AbstractBasis]
+
+    @property
+    @abc.abstractmethod
+    def modes(self) -> tuple:
+        """What each column is: see the class."""
+
+    @property
+    @abc.abstractmethod
+    def reciprocal(self) -> bool:
+        """Whether every function is unchanged when wi and wo are swapped."""
+
+    @abc.abstractmethod
+    def entries(self) -> Entries:
+        """Every column as a sparse matrix over the single-direction basis; the columns are orthonormal there too."""
+
+    @abc.abstractmethod
+    def block_rows(self, wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]) -> Float[Array, "pairs modes"]:
+        """The design rows of one block."""
+
+    @abc.abstractmethod
+    def block_sums(
+        self, coefficients: Float[Array, "modes channels"], wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]
+    ) -> Float[Array, "pairs channels"]:
+        """Σ_k c_k B_k of one block, by the cheapest contraction."""
+
+    def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
+        """The design row `(*batch, modes)`. `evaluate` is faster wherever only Σ c_k B_k is needed."""
+        wi, wo, batch = flat_pairs(wi, wo)
+        return blockwise(jax.checkpoint(self.block_rows), PAIR_BLOCK, wi, wo).reshape(*batch, -1)
+
+    def evaluate(
+        self, coefficients: Float[Array, "modes ..."], wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]
+    ) -> Real:
+        """Σ_k c_k B_k(wi, wo), `(*batch, *channels)`, for any number of channels; no row is formed.
+
+        **Raises:** ValueError if `coefficients` does not have one row per mode.
+        """
+        coefficients, wi, wo = common_dtype(coefficients, wi, wo)
+        check_modes(self, coefficients)
+        wi, wo, batch = flat_pairs(wi, wo)
+        channels = coefficients.shape[1:]
+        # Recomputed, not stored, in reverse: what a block keeps for its derivative is larger than what it returns.
+        sums = jax.checkpoint(partial(self.block_sums, coefficients.reshape(coefficients.shape[0], -1)))
+        return blockwise(sums, PAIR_BLOCK, wi, wo).reshape(*batch, *channels)
+
+
+class TensorBasis(AbstractPairBasis):
+    """All products h_a(wi) h_b(wo): K² functions, reciprocity free.
+
+    `modes` holds ((n, m), (p, q)), incident first; column a K + b, so that coefficients reshape to the matrix A.
+    """
+
+    basis: AbstractBasis
+
+    @property
+    def modes(self) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...]:
+        return _tensor_modes(self.basis)
+
+    @property
+    def reciprocal(self) -> bool:
+        return False
+
+    def entries(self) -> Entries:
+        k = len(self.basis.modes)
+        a, b = (grid.ravel() for grid in np.meshgrid(np.arange(k), np.arange(k), indexing="ij"))
+        return Entries(np.arange(k * k), a, b, np.ones(k * k))
+
+    def block_rows(self, wi, wo):
+        hi, ho = self.basis(wi), self.basis(wo)
+        return (hi[:, :, None] * ho[:, None, :]).reshape(wi.shape[0], -1)
+
+    def block_sums(self, coefficients, wi, wo):
+        k = len(self.basis.modes)
+        return bilinear(self.basis, coefficients.reshape(k, k, -1), wi, wo)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.basis))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TensorBasis) and self.basis == other.basis
+
+
+class HelmholtzBasis(AbstractPairBasis):
+    """The paper's Eq. 2 over unordered pairs a <= b: K (K + 1) / 2 reciprocal functions.
+
+        B_ab(wi, wo) = N_ab [h_a(wi) h_b(wo) + h_b(wi) h_a(wo)],   N_ab = 1 / sqrt(2 (1 + δ_ab))
+
+    N is what orthonormality asks for (the paper leaves it open). `modes` holds ((n, m), (p, q)) of a and b.
+    """
+
+    basis: AbstractBasis
+
+    @property
+    def modes(self) -> tuple[tuple[tuple[int, int], tuple[int, int]], ...]:
+        return _helmholtz_modes(self.basis)
+
+    @property
+    def reciprocal(self) -> bool:
+        return True
+
+    def unordered(self) -> tuple[np.ndarray, np.ndarray]:
+        """The columns (a, b) of the single basis, a <= b, behind every column of this one. Host arrays."""
+        return _unordered_pairs(len(self.basis.modes))
+
+    def entries(self) -> Entries:
+        a, b = self.unordered()
+        norm = _pair_norm(a == b)
+        mode = np.arange(a.size)
+        return Entries(np.tile(mode, 2), np.r_[a, b], np.r_[b, a], np.tile(norm, 2))
+
+    def block_rows(self, wi, wo):
+        a, b = self.unordered()
+        hi, ho = self.basis(wi), self.basis(wo)
+        norm = jnp.asarray(_pair_norm(a == b), hi.dtype)
+        return norm[None] * (hi[:, a] * ho[:, b] + hi[:, b] * ho[:, a])
+
+    def block_sums(self, coefficients, wi, wo):
+        return bilinear(self.basis, to_matrix(self, coefficients), wi, wo)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.basis))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, HelmholtzBasis) and self.basis == other.basis
+
+
+def to_matrix(pairs: AbstractPairBasis, coefficients: Float[Array, "modes *channels"]) -> Real:
+    """The matrix A, `(K, K, *channels)`, with ρ(wi, wo) = h(wi)ᵀ A h(wo); symmetric for a reciprocal basis."""
+    coefficients = jnp.asarray(coefficients)
+    check_modes(pairs, coefficients)
+    k, (mode, a, b, value) = len(pairs.basis.modes), pairs.entries()
+    matrix = jnp.zeros((k, k, *coefficients.shape[1:]), coefficients.dtype)
+    return matrix.at[a, b].add(_weights(value, coefficients) * coefficients[mode])
+
+
+def from_matrix(pairs: AbstractPairBasis, matrix: Float[Array, "k k *channels"]) -> Real:
+    """Coefficients `(modes, *channels)` of the function of `pairs` nearest in L2 to h(wi)ᵀ A h(wo).
+
+    Exact where A lies in the span; otherwise the orthogonal projection: for `HelmholtzBasis` that is the
+    reciprocal part (A + Aᵀ)/2 (claim 6 of the paper), for `IsotropicBasis` the average over rotations as well.
+    """
+    matrix = jnp.asarray(matrix)
+    k, (mode, a, b, value) = len(pairs.basis.modes), pairs.entries()
+    if matrix.shape[:2] != (k, k):
+        raise ValueError(f"the matrix of {pairs} must have shape ({k}, {k}, *channels), got {matrix.shape}")
+    coefficients = jnp.zeros((len(pairs.modes), *matrix.shape[2:]), matrix.dtype)
+    return coefficients.at[mode].add(_weights(value, matrix[0]) * matrix[a, b])
+
+
+def bilinear(
+    basis: AbstractBasis, matrix: Float[Array, "k k channels"], wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]
+) -> Float[Array, "pairs channels"]:
+    """h(wi)ᵀ A h(wo) for every channel: one product with A, then a dot; no K x K product per pair."""
+    k, channels = matrix.shape[0], matrix.shape[2]
+    product = matmul(basis(wi), matrix.reshape(k, k * channels)).reshape(-1, k, channels)
+    return jnp.sum(product * basis(wo)[:, :, None], axis=1)
+
+
+def flat_pairs(wi: Array, wo: Array) -> tuple[Float[Array, "pairs 3"], Float[Array, "pairs 3"], tuple[int, ...]]:
+    """Both directions broadcast against each other and flattened, and the batch shape."""
+    wi, wo = common_dtype(wi, wo)
+    shape = jnp.broadcast_shapes(wi.shape, wo.shape)
+    return jnp.broadcast_to(wi, shape).reshape(-1, 3), jnp.broadcast_to(wo, shape).reshape(-1, 3), shape[:-1]
+
+
+def _weights(value: np.ndarray, like: Array) -> Array:
+    return jnp.asarray(value, like.dtype).reshape(-1, *(1,) * (like.ndim - 1))
+
+
+def _pair_norm(diagonal: np.ndarray) -> np.ndarray:
+    return 1 / np.sqrt(2 * (1 + diagonal))
+
+
+@lru_cache
+def _unordered_pairs(k: int) -> tuple[np.ndarray, np.ndarray]:
+    """(a, b) with a <= b, ordered by b: the pairs of a smaller basis come first."""
+    b, a = np.tril_indices(k)
+    return a, b
+
+
+@lru_cache
+def _helmholtz_modes(basis: AbstractBasis) -> tuple:
+    modes = basis.modes
+    a, b = _unordered_pairs(len(modes))
+    return tuple((modes[i], modes[j]) for i, j in zip(a, b, strict=True))
+
+
+@lru_cache
+def _tensor_modes(basis: AbstractBasis) -> tuple:
+    return tuple((a, b) for a in basis.modes for b in basis.modes)
