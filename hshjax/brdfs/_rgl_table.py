@@ -1,0 +1,168 @@
+"""Isotropic materials of the RGL database: tables in a parameterisation that adapts to the material."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._typing import Array, Bool, Float, Int, Real
+from hshjax.brdfs._tabulated import TabulatedBRDF
+
+
+class RGLTable(TabulatedBRDF):
+    """ρ cos θ_o = f(s; θ_i) D(u_h) / (4 σ(u_i)),   s = the distribution of visible normals, inverted at u_h.
+
+    u = (sqrt(2 θ/π), (φ + π)/(2π)); u_h takes φ_h - φ_i, the material being isotropic. D is the distribution of
+    normals, σ its projected area. s in [0, 1]² is (CDF of θ_h given φ_h, CDF of φ_h) under the distribution of visible
+    normals at θ_i, so that highlights of any width fill the table f. Tables are bilinear over [0, 1]², linear in θ_i.
+
+    Directions within rounding of the pole count as the pole, with azimuth and derivative 0. Directions that were not
+    measured (grazing ones above all) are extrapolated by the database.
+
+    Build it with `from_tables`. Last axes of tables: (azimuth, elevation); `values` [sr^-1, with the cosine of wo].
+
+    Source: Dupuy and Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, ACM TOG
+    37(6), 2018. That wi is the direction of incidence of the tables was settled against Mitsuba 3 (`measured`).
+    """
+
+    theta_i: Float[Array, " slices"]
+    sigma: Float[Array, "sigma_azimuths sigma_elevations"]
+    ndf: Float[Array, "ndf_azimuths ndf_elevations"]
+    density: Float[Array, "slices azimuths elevations"]
+    conditional: Float[Array, "slices azimuths elevations"]
+    row: Float[Array, "slices azimuths"]
+    marginal: Float[Array, "slices azimuths"]
+    values: Float[Array, "slices channels rows columns"]
+    description: str = eqx.field(static=True, default="")
+    channel_names: tuple[str, ...] = eqx.field(static=True, default=("R", "G", "B"))
+    unmeasured: int | None = eqx.field(static=True, default=None)
+    """Entries of one channel of `values` that the database filled in (its `valid` mask); None if it does not say."""
+
+    @classmethod
+    def from_tables(
+        cls,
+        theta_i: np.ndarray,
+        sigma: np.ndarray,
+        ndf: np.ndarray,
+        vndf: np.ndarray,
+        values: np.ndarray,
+        *,
+        description: str = "",
+        channel_names: tuple[str, ...] = ("R", "G", "B"),
+        unmeasured: int | None = None,
+    ) -> "RGLTable":
+        """The tables as the files hold them, without the axis φ_i: vndf `(slices, azimuths, elevations)` need not be
+        normalised. CDFs are summed on the host in float64 and kept in the default float of the caller's configuration.
+        """
+        density = np.asarray(vndf, np.float64)
+        conditional = _cumulative(density)
+        marginal = _cumulative(conditional[..., -1])
+        total = marginal[:, -1]
+        dtype = jnp.result_type(float)
+        return cls(
+            theta_i=jnp.asarray(theta_i, dtype),
+            sigma=jnp.asarray(sigma, dtype),
+            ndf=jnp.asarray(ndf, dtype),
+            density=jnp.asarray(density / total[:, None, None], dtype),
+            conditional=jnp.asarray(conditional / total[:, None, None], dtype),
+            row=jnp.asarray(conditional[..., -1] / total[:, None], dtype),
+            marginal=jnp.asarray(marginal / total[:, None], dtype),
+            values=jnp.asarray(values, dtype),
+            description=description,
+            channel_names=channel_names,
+            unmeasured=unmeasured,
+        )
+
+    def formula(self, wi, wo):
+        shape = wi.shape[:-1]
+        wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
+        h = wi + wo  # not normalised: only its angles are used
+        slice_, t = self._slice(wi)
+        u_i = jnp.stack([_elevation(wi), _azimuth(jnp.zeros_like(wi).at[:, 0].set(1), wi)], axis=-1)
+        u_h = jnp.stack([_elevation(h), _azimuth(wi, h)], axis=-1)
+        s = self._invert(u_h, slice_, t)
+        jacobian = _bilinear(self.ndf[None], u_h) / (4 * _bilinear(self.sigma[None], u_i))
+        value = (1 - t) * _bilinear(self.values, s, slice_) + t * _bilinear(self.values, s, slice_ + 1)
+        return (value * jacobian / wo[:, 2:]).reshape(*shape, value.shape[-1])
+
+    def _slice(self, wi: Float[Array, "n 3"]) -> tuple[Int[Array, " n"], Float[Array, "n 1"]]:
+        """The slice of θ_i below, and the fraction of the way to the next."""
+        at_pole = _at_pole(wi)
+        theta = jnp.where(at_pole, 0, jnp.arctan2(jnp.sqrt(jnp.where(at_pole, 1, _rim_square(wi))), wi[:, 2]))
+        below = jnp.searchsorted(self.theta_i[1:-1], theta, side="right", method="compare_all")
+        low, high = self.theta_i[below], self.theta_i[below + 1]
+        return below, jnp.clip((theta - low) / (high - low), 0, 1)[:, None]
+
+    def _invert(self, u: Float[Array, "n 2"], slice_: Int[Array, " n"], t: Float[Array, "n 1"]) -> Float[Array, "n 2"]:
+        """(CDF of elevation given azimuth, CDF of azimuth) of a density that is bilinear between its vertices."""
+        t = t[:, 0]
+        azimuths, elevations = self.density.shape[1:]
+        i, x = _cell(u[:, 0], elevations)
+        j, y = _cell(u[:, 1], azimuths)
+
+        def between_slices(table, *index):
+            return (1 - t) * table[(slice_, *index)] + t * table[(slice_ + 1, *index)]
+
+        def between_rows(table, *index):
+            return (1 - y) * between_slices(table, j, *index) + y * between_slices(table, j + 1, *index)
+
+        # Inside a cell the density is linear, its integral the quadratic a x + (b - a) x²/2.
+        left, right = between_rows(self.density, i), between_rows(self.density, i + 1)
+        mass, row = between_rows(self.conditional, i) + x * (left + x / 2 * (right - left)), between_rows(self.row)
+        lower, upper = between_slices(self.row, j), between_slices(self.row, j + 1)
+        in_azimuth = between_slices(self.marginal, j) + y * (lower + y / 2 * (upper - lower))
+        # An azimuth without visible normals has no conditional distribution; its neighbours end at 0 there.
+        in_elevation = jnp.where(row > 0, mass / jnp.where(row > 0, row, 1), 0)
+        return jnp.clip(jnp.stack([in_elevation, in_azimuth], axis=-1), 0, 1)
+
+
+def _cumulative(density: np.ndarray) -> np.ndarray:
+    """Trapezoid sums along the last axis, unit spacing, beginning at 0."""
+    out = np.zeros(density.shape)
+    np.cumsum((density[..., 1:] + density[..., :-1]) / 2, axis=-1, out=out[..., 1:])
+    return out
+
+
+def _rim_square(w: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    return w[:, 0] ** 2 + w[:, 1] ** 2
+
+
+def _at_pole(w: Float[Array, "n 3"]) -> Bool[Array, " n"]:
+    """Within rounding of the normal. There the angles have no derivative (1/|rim| would become NaN)."""
+    return _rim_square(w) <= float(jnp.finfo(w.dtype).eps) ** 2
+
+
+def _elevation(w: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    """sqrt(2 θ/π), by arctan2: accurate near the pole, where arccos is not; w of any length."""
+    at_pole = _at_pole(w)
+    theta = jnp.arctan2(jnp.sqrt(jnp.where(at_pole, 1, _rim_square(w))), w[:, 2])
+    return jnp.where(at_pole, 0, jnp.sqrt(2 / jnp.pi * theta))
+
+
+def _azimuth(origin: Float[Array, "n 3"], w: Float[Array, "n 3"]) -> Float[Array, " n"]:
+    """(φ + π)/(2π), φ the azimuth of w seen from that of `origin`: one arctan2, hence already wrapped."""
+    at_pole = _at_pole(origin) | _at_pole(w)
+    cos = jnp.where(at_pole, 1, origin[:, 0] * w[:, 0] + origin[:, 1] * w[:, 1])
+    sin = jnp.where(at_pole, 0, origin[:, 0] * w[:, 1] - origin[:, 1] * w[:, 0])
+    return (jnp.arctan2(sin, cos) + jnp.pi) / (2 * jnp.pi)
+
+
+def _cell(u: Float[Array, " n"], vertices: int) -> tuple[Int[Array, " n"], Float[Array, " n"]]:
+    """The interval of [0, 1] that holds u, among `vertices` equispaced ones, and the position within it."""
+    x = u * (vertices - 1)
+    index = jnp.clip(jnp.floor(x).astype(jnp.int32), 0, vertices - 2)
+    return index, x - index.astype(x.dtype)
+
+
+def _bilinear(
+    table: Real, u: Float[Array, "n 2"], slice_: Int[Array, " n"] | None = None
+) -> Float[Array, "n channels"]:
+    """Slice `slice_` of `(slices, channels, azimuth, elevation)`, or `(channels, azimuth, elevation)`, at u."""
+    i, x = (a[:, None] for a in _cell(u[:, 0], table.shape[-1]))
+    j, y = (a[:, None] for a in _cell(u[:, 1], table.shape[-2]))
+    channel = jnp.arange(table.shape[-3], dtype=jnp.int32)[None, :]
+    leading = () if slice_ is None else (slice_[:, None],)
+
+    def at(j, i):
+        return table[(*leading, channel, j, i)]
+
+    return (1 - y) * ((1 - x) * at(j, i) + x * at(j, i + 1)) + y * ((1 - x) * at(j + 1, i) + x * at(j + 1, i + 1))
