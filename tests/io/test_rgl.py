@@ -48,7 +48,7 @@ def test_metadata_of_a_real_file(data):
     brdf = read_rgl(data / "rgl/paper_white_rgb.bsdf")
     assert brdf.description == "White A4 paper (160 gsm)"
     assert brdf.channel_names == ("R", "G", "B")
-    # One bit an entry of 8 x 32 x 32, counted by hand.
+    # Set bits of the 8 x 32 x 32 mask, counted apart from the reader.
     assert brdf.unmeasured == 1014
 
 
