@@ -15,7 +15,8 @@ MATRIX := 3.11 3.12 3.13
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-float64 test-float32 test-slow test-matrix check lock bench clean setup
+.PHONY: help demo test test-float64 test-float32 test-slow test-matrix lock bench clean setup
+.PHONY: check check-lint check-format check-types check-floors
 
 help: ## List the targets
 	@sed -n 's/^\([a-z0-9-]*\):.*## \(.*\)/\1|\2/p' $(firstword $(MAKEFILE_LIST)) | while IFS='|' read -r target text; do \
@@ -49,10 +50,18 @@ test-matrix: ## Run `make test` on every Python of 3.11, 3.12, 3.13 that is inst
 	if [ -z "$$found" ]; then echo "none of Python $(MATRIX) found on PATH or in pyenv" >&2; exit 1; fi; \
 	echo "passed on Python$$found"
 
-check: $(VENV)/.installed-check ## Lint, formatting, types, and the floors of the architecture
+check: check-lint check-format check-types check-floors ## Lint, formatting, types, floors; `make -k check` shows all errors
+
+check-lint: $(VENV)/.installed-check
 	$(VENV)/bin/ruff check .
+
+check-format: $(VENV)/.installed-check
 	$(VENV)/bin/ruff format --check .
+
+check-types: $(VENV)/.installed-check
 	$(VENV)/bin/pyright --pythonpath $(PYTHON_IN_VENV) hshjax
+
+check-floors: $(VENV)/.installed-check
 	$(PYTEST) -q tests/test_layers.py
 
 lock: $(VENV)/.installed ## Resolve pyproject.toml into uv.lock anew
