@@ -24,7 +24,7 @@ Carry = TypeVar("Carry")
 
 
 class RadialTables(NamedTuple):
-    """p_0 = start[m];  p_j = (slope[m, j] x + shift[m, j]) p_{j-1} - back[m, j] p_{j-2},  0 <= j < count[m].
+    """p_0 = start[m];  p_j = (slope[m, j] x + shift[m, j]) p_{j-1} - back[m, j] p_{j-2},  0 <= j < counts[m].
 
     Host arrays, float64; cast where they are used.
     """
@@ -33,7 +33,7 @@ class RadialTables(NamedTuple):
     slope: np.ndarray  # (orders, degrees)
     shift: np.ndarray
     back: np.ndarray
-    count: np.ndarray  # (orders,) int32
+    counts: np.ndarray  # (orders,) int32
 
 
 def radial_tables(
@@ -76,7 +76,10 @@ def jacobi_matrix(a: int, b: int, n: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def stieltjes_matrix(nodes: np.ndarray, weights: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Jacobi matrix of a discrete weight, by the Stieltjes procedure on orthonormal polynomials (Gautschi 2004, §2.2)."""
+    """Jacobi matrix of a discrete weight, by the Stieltjes procedure on orthonormal polynomials.
+
+    Source: Gautschi 2004, section 2.2.
+    """
     alpha, beta = np.zeros(n), np.zeros(n)
     previous = np.zeros_like(nodes)
     current = np.full_like(nodes, 1 / np.sqrt(weights.sum()))
@@ -98,9 +101,9 @@ def radial_fold(
     *,
     exact: bool,
 ) -> Carry:
-    """Fold `visit(j, p_j^m(x), carry)` over j = 0, 1, ... count[m] - 1."""
+    """Fold `visit(j, p_j^m(x), carry)` over j = 0, 1, ... counts[m] - 1."""
     start, slope, shift, back = (jnp.asarray(table, x.dtype) for table in tables[:4])
-    stop = jnp.asarray(tables.count)[m] if exact else tables.slope.shape[1]
+    stop = jnp.asarray(tables.counts)[m] if exact else tables.slope.shape[1]
 
     def step(j, state):
         previous, current, carry = state
@@ -128,7 +131,8 @@ def azimuthal_fold(
 
     def step(m, state):
         even, power, carry = state
-        carry = visit(m, *power, carry)
+        re, im = power
+        carry = visit(m, re, im, carry)
         next_even = multiply(even, square)
         after_odd = m % 2 == 1
         power = jax.tree.map(lambda a, b: jnp.where(after_odd, a, b), next_even, multiply(even, odd))
@@ -142,7 +146,7 @@ def azimuthal_fold(
 def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array, "orders degrees points"]:
     """Every p_j^m(x); entries past an order's count are zero."""
     start, *columns = (jnp.asarray(table, x.dtype) for table in tables[:4])
-    present = jnp.asarray(np.arange(tables.slope.shape[1])[:, None] < tables.count[None, :])
+    present = jnp.asarray(np.arange(tables.slope.shape[1])[:, None] < tables.counts[None, :])
 
     def step(state, coefficients):
         previous, current = state

@@ -40,7 +40,7 @@ def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array
 
 
 def upper(z: Real) -> Real:
-    """z on the closed hemisphere, 0 below it. The derivative at z = 0 is that from above, 1 (`maximum` would say 1/2)."""
+    """z on the closed hemisphere, 0 below it. The derivative at z = 0 is that from above, 1; `maximum` says 1/2."""
     return jnp.where(z >= 0, z, 0)
 
 

@@ -58,8 +58,8 @@ def azimuth_nodes(degree: int) -> np.ndarray:
 def graded_azimuths(levels: int, order: int, *, nodes: int = 16) -> tuple[np.ndarray, np.ndarray]:
     """φ in (-π, π) and weights with sum 2π, host float64: Gauss panels halved `levels` times towards φ = 0 and φ = ±π.
 
-    For functions with narrow lobes there (specular, retro-reflective). Panels are no wider than a period of cos(order φ),
-    so that products with it stay accurate.
+    For functions with narrow lobes there (specular, retro-reflective). Panels are no wider than a period of
+    cos(order φ), so that products with it stay accurate.
     """
     width = min(np.pi / 4, 2 * np.pi / max(order, 1))
     edges = np.unique(np.r_[0, np.pi / 2 ** np.arange(1.0, levels + 1), np.arange(0, np.pi / 2, width)])

@@ -33,7 +33,7 @@ def checked_order(order: int) -> int:
 
 
 class Chart(eqx.Module):
-    """A direction as a basis sees it: the radial variable x, and s² and s as pairs (real, imaginary), each `(points,)`."""
+    """A direction as a basis sees it: the radial variable x; s² and s as pairs (real, imaginary); each `(points,)`."""
 
     x: Real
     square: tuple[Real, Real]
@@ -82,9 +82,7 @@ class AbstractBasis(eqx.Module):
         w = jnp.asarray(w)
         return _rows(self, w.reshape(-1, 3)).reshape(*w.shape[:-1], len(self.modes))
 
-    def evaluate(
-        self, coefficients: Float[Array, "modes *channels"], w: Float[Array, "*batch 3"]
-    ) -> Real:
+    def evaluate(self, coefficients: Float[Array, "modes *channels"], w: Float[Array, "*batch 3"]) -> Real:
         """Σ_k c_k y_k(w), `(*batch, *channels)`, for any number of channels; the design row is never materialised.
 
         **Raises:** ValueError if `coefficients` does not have one row per mode.
@@ -147,9 +145,7 @@ def _block_sums(basis: AbstractBasis, exact: bool, coefficients: Array, w: Float
         def visit_degree(j, p, parts):
             return parts + table[m, j][..., None] * p[None, None]
 
-        parts = radial_fold(
-            tables, m, chart.x, jnp.zeros((2, *total.shape), total.dtype), visit_degree, exact=exact
-        )
+        parts = radial_fold(tables, m, chart.x, jnp.zeros((2, *total.shape), total.dtype), visit_degree, exact=exact)
         return total + parts[0] * re[None] + parts[1] * im[None]
 
     total = jnp.zeros((channels, w.shape[0]), w.dtype)
@@ -197,7 +193,7 @@ def _sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
 
 @partial(_sums.defjvp, symbolic_zeros=True)
 def _(basis, primals, tangents):
-    """dΣ = Y dc + (∂Σ/∂w) dw. Both are linear maps whose transposes cost one product: a blocked GEMM and a contraction."""
+    """dΣ = Y dc + (∂Σ/∂w) dw: two linear maps, whose transposes cost one product each, blocked GEMM and contraction."""
     coefficients, w = primals
     d_coefficients, d_w = tangents
     value = _sums(basis, coefficients, w)

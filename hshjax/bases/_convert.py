@@ -16,7 +16,8 @@ def convert(
     """Coefficients `(modes of target, *channels)` of the nearest function (in L2) that `target` can say.
 
     Both sides build on the same family (HSH, Zernike or SHR) and differ in order, symmetry or both: a higher order pads
-    with zeros, a lower one truncates, isotropic embeds exactly in Helmholtz and Helmholtz in tensor; the ways back project.
+    with zeros, a lower one truncates; isotropic embeds exactly in Helmholtz and Helmholtz in tensor, and the ways back
+    project.
 
     **Raises:** ValueError for different families, or a single basis against a pair basis.
     """
@@ -34,9 +35,7 @@ def convert(
     raise ValueError(f"convert needs two bases, or two pair bases, of one family; got {source} and {target}")
 
 
-def from_ordered(
-    pairs: HelmholtzBasis, series: Float[Array, "k k *channels"]
-) -> Real:
+def from_ordered(pairs: HelmholtzBasis, series: Float[Array, "k k *channels"]) -> Real:
     """The paper's a_np^mq of Eq. 3, `(K, K, *channels)` over ordered pairs, as coefficients over unordered ones.
 
     Eq. 3 counts every function with a ≠ b twice: its two coefficients add.

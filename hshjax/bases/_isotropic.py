@@ -33,6 +33,9 @@ class IsotropicBasis(AbstractPairBasis):
     def modes(self) -> tuple[tuple[int, int, int], ...]:
         return _modes(self.basis, self.bilateral)
 
+    def degrees(self) -> np.ndarray:
+        return np.array([mode[:2] for mode in self.modes])
+
     @property
     def reciprocal(self) -> bool:
         return True
@@ -126,7 +129,7 @@ def _factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array,
     tables = pairs.basis.tables()
     chart_i, chart_o = pairs.basis.chart(wi), pairs.basis.chart(wo)
     square, odd = _difference_chart(chart_i, chart_o)
-    return radial_rows(tables, chart_i.x), radial_rows(tables, chart_o.x), powers(square, odd, tables.count.size)
+    return radial_rows(tables, chart_i.x), radial_rows(tables, chart_o.x), powers(square, odd, tables.counts.size)
 
 
 def _sums(pairs: IsotropicBasis, matrices: Array, wi: Array, wo: Array) -> Array:

@@ -41,6 +41,10 @@ class AbstractPairBasis(eqx.Module):
     def modes(self) -> tuple:
         """What each column is: see the class."""
 
+    def degrees(self) -> np.ndarray:
+        """Orders (n, p) of every column in its two directions, `(modes, 2)`. Host array."""
+        return np.array([[a[0], b[0]] for a, b in self.modes])
+
     @property
     @abc.abstractmethod
     def reciprocal(self) -> bool:

@@ -47,4 +47,6 @@ def _tables(order: int) -> RadialTables:
     def first_norm(m):
         return np.sqrt((m + 1) / (2 * np.pi if m == 0 else np.pi))
 
-    return radial_tables([(order - m) // 2 + 1 for m in range(order + 1)], first_norm, lambda m, n: jacobi_matrix(0, m, n))
+    return radial_tables(
+        [(order - m) // 2 + 1 for m in range(order + 1)], first_norm, lambda m, n: jacobi_matrix(0, m, n)
+    )

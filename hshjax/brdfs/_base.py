@@ -12,7 +12,7 @@ from hshjax.geometry import dot
 
 
 def bounded(low: float, high: float, **kwargs) -> Any:
-    """A parameter field that a fit keeps in [low, high] (`bounds` in the field's metadata); arrays of any float dtype."""
+    """A parameter field that a fit keeps in [low, high] (`bounds` in its metadata); an array of any float dtype."""
     return eqx.field(converter=jnp.asarray, metadata={"bounds": (low, high)}, **kwargs)
 
 
@@ -49,7 +49,7 @@ class AbstractBRDF(eqx.Module):
     def __mul__(self, scale: Real | float) -> "ScaledBRDF":
         if isinstance(scale, AbstractBRDF):
             raise TypeError("a product of two BRDFs is not a BRDF (its unit would be sr^-2); scale by a number")
-        return ScaledBRDF(self, scale)
+        return ScaledBRDF(self, jnp.asarray(scale))
 
     __rmul__ = __mul__
 

@@ -54,12 +54,16 @@ class LinearBRDF(AbstractBRDF):
         return series / foreshortening(wi, wo, self.target)[..., None]
 
 
-def foreshortening(wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"], target: Target) -> Float[Array, " *batch"]:
+def foreshortening(
+    wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"], target: Target
+) -> Float[Array, " *batch"]:
     """(z_i z_o)^p with the exponent p of the target: the factor between a BRDF and what a series stands for."""
     return cosine_power(wi, wo, EXPONENTS[target])
 
 
-def cosine_power(wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"], exponent: float) -> Float[Array, " *batch"]:
+def cosine_power(
+    wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"], exponent: float
+) -> Float[Array, " *batch"]:
     """(z_i z_o)^exponent; exactly 1 for the exponent 0."""
     product = wi[..., 2] * wo[..., 2]
     return jnp.ones_like(product) if exponent == 0 else product**exponent

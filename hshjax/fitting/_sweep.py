@@ -40,12 +40,14 @@ class IsotropicTable:
     def from_brdf(
         cls, brdf: PairFunction, order: int, *, max_theta: float = math.pi / 2, polar: int = 128, levels: int = 8
     ) -> "IsotropicTable":
-        """Evaluate `brdf` on `polar`² pairs of elevations x a rule in Δφ that is refined `levels` times towards 0 and π.
+        """Evaluate `brdf` at `polar`² pairs of elevations x a rule in Δφ, refined `levels` times towards 0 and π.
 
         A specular lobe narrows in azimuth like its width times (z_i + z_o): equispaced azimuths miss it at grazing.
         The grid must resolve the BRDF: compare the errors with those of a finer one.
         """
-        z, dz = polar_nodes(polar - 1, sqrt=True)  # denser at grazing, where Cook-Torrance and Oren-Nayar are not smooth
+        z, dz = polar_nodes(
+            polar - 1, sqrt=True
+        )  # denser at grazing, where Cook-Torrance and Oren-Nayar are not smooth
         # A range that ends at θ_max gets nodes of its own: a cut through a grid would cost accuracy.
         edge = math.cos(max_theta)
         z, dz = edge + (1 - edge) * z, (1 - edge) * dz

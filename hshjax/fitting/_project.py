@@ -1,0 +1,234 @@
+"""The closed form: the best BRDF of a basis in a named norm, by inner products or by QR.
+
+On the nodes of a rule that is exact for the basis, under a flat weight, the coefficients are inner products. In every
+other case they are the weighted least squares
+
+    argmin_c  Σ_k w_k |f_k - B_k c|² + cᵀ Γ c,     f = (z_i z_o)^p ρ,
+
+solved by a QR factorisation of [sqrt(w) B, sqrt(w) f] that is carried through the samples block by block: neither the
+design matrix nor Q is ever held, one factorisation serves all channels, and the condition number is never squared.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.scipy.linalg import solve_triangular
+
+from hshjax._typing import Array, Float
+from hshjax.bases import AbstractPairBasis, IsotropicBasis
+from hshjax.bases._base import common_dtype, matmul
+from hshjax.brdfs._linear import LinearBRDF, cosine_power
+from hshjax.fitting._checks import check_determined, check_samples
+from hshjax.fitting._norms import Norm, named_norm
+from hshjax.fitting._prior import Prior, penalty
+from hshjax.fitting._result import Fit
+from hshjax.metrics import ReciprocityError, reciprocity_error
+from hshjax.quadrature import PairRule
+from hshjax.samples import Samples
+
+ROWS = 4096
+"""Samples a block, at least; four times the columns where that is more: carrying R then costs less than the rows."""
+
+SEARCHED = 200_000
+"""Samples up to which the data's own reciprocity is measured unasked."""
+
+
+def project(
+    basis: AbstractPairBasis,
+    samples: Samples,
+    *,
+    norm: str = "D",
+    ridge: float = 0.0,
+    prior: Prior = "flat",
+    covariance: bool = False,
+    reciprocity: bool | None = None,
+) -> Fit[LinearBRDF]:
+    """The BRDF in the span of `basis` nearest to `samples`, in closed form.
+
+    **Arguments:**
+
+    - `basis`: any pair basis; a reciprocal one filters out what violates Helmholtz reciprocity (claim 6 of the paper).
+    - `samples`: values [sr^-1, no cosine]. Weight 0 masks a sample, whatever its value. Other weights are solid angles
+      [sr²] or confidences, and enter as they are.
+    - `norm`: "A" ... "E": what is minimised, and in which norm the residual is reported; see `NORMS`. The default "D"
+      fits z_i z_o ρ.
+    - `ridge`, `prior`: Γ = ridge x diag(prior). "flat" is 1; "spectral" is (n(n+1) + p(p+1))², which leaves the
+      constant free and damps fine detail; an array `(modes,)` >= 0 is taken as it is. Scattered data never cover the grazing
+      band: a small spectral ridge keeps the unseen directions tame. Γ is not scaled by the number of samples.
+    - `covariance`: also the posterior covariance of the coefficients.
+    - `reciprocity`: also the violation of reciprocity in the data (a search among all samples, on the host) and in the
+      model. By default up to 200 000 samples, where it takes under a second.
+
+    **Returns:** a `Fit`. Beside the samples, memory holds a few blocks and two matrices of unknowns x unknowns.
+
+    **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
+    for weights that are negative or all zero; for fewer samples than unknowns, or samples that do not determine the
+    unknowns, without a ridge. Inside `jax.jit` values cannot be seen: there an undetermined fit returns coefficients
+    that are not finite, and reciprocity is not measured.
+    """
+    chosen = named_norm(norm)
+    gamma = penalty(basis, ridge, prior)
+    unknowns = len(basis.modes)
+    visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
+    if visible:
+        check_samples(samples, chosen, unknowns, ridged=gamma is not None)
+
+    samples = _in_one_dtype(samples)
+    inner = gamma is None and not covariance and chosen.orthonormal and _exact(basis, samples)
+    if inner:
+        coefficients = _inner_products(basis, chosen, samples)
+        condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
+    else:
+        factor = _factorize(basis, chosen, samples)
+        coefficients, condition, root = _solve(factor, gamma, unknowns)
+        if visible:
+            check_determined(condition, unknowns, ridged=gamma is not None)
+        posterior, noise = _posterior(factor, root, coefficients, samples.weight) if covariance else (None, None)
+
+    residual, size = _residual(basis, chosen, samples, coefficients)
+    model = LinearBRDF(basis, coefficients, chosen.target)
+    if reciprocity is None:
+        reciprocity = samples.size <= SEARCHED
+    before, after = _reciprocity(model, samples) if reciprocity and visible else (None, None)
+    return Fit(
+        model,
+        residual,
+        residual / size,
+        condition,
+        norm=norm,
+        method="inner products" if inner else "QR",
+        samples=samples.size,
+        unknowns=unknowns,
+        reciprocity_before=before,
+        reciprocity_after=after,
+        covariance=posterior,
+        noise=noise,
+    )
+
+
+def _in_one_dtype(samples: Samples) -> Samples:
+    """One dtype throughout, and zeros for the values of masked samples, which may be anything, NaN included."""
+    wi, wo, value, weight = common_dtype(samples.wi, samples.wo, samples.value, samples.weight)
+    value = jnp.where((weight > 0)[:, None], value, 0)
+    return Samples(wi, wo, value, weight, samples.degree, samples.isotropic)
+
+
+def _exact(basis: AbstractPairBasis, samples: Samples) -> bool:
+    """Whether the samples' own weights make the Gram matrix of the basis the identity."""
+    exact = samples.degree is not None and samples.degree >= 2 * basis.basis.order
+    return exact and (isinstance(basis, IsotropicBasis) or not samples.isotropic)
+
+
+def _fold(samples: Samples, rows: int, carry: Array, visit) -> Array:
+    """Fold `visit(carry, wi, wo, value, weight)` over the samples, `rows` at a time, without a copy of them.
+
+    The last block overlaps the one before it; what was seen there already has weight 0.
+    """
+    n = samples.size
+    rows = min(rows, n)
+
+    def step(i, carry):
+        start = jnp.minimum(i * rows, n - rows)
+        block = (samples.wi, samples.wo, samples.value, samples.weight)
+        wi, wo, value, weight = (jax.lax.dynamic_slice_in_dim(a, start, rows) for a in block)
+        fresh = start + jnp.arange(rows) >= i * rows
+        return visit(carry, wi, wo, value, jnp.where(fresh, weight, 0))
+
+    return jax.lax.fori_loop(0, -(-n // rows), step, carry)
+
+
+def _series(norm: Norm, wi: Array, wo: Array, value: Array) -> Array:
+    """f = (z_i z_o)^p ρ: what the norm's series stands for."""
+    return cosine_power(wi, wo, norm.exponent)[:, None] * value
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _inner_products(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "modes channels"]:
+    def visit(sums, wi, wo, value, weight):
+        return sums + matmul(basis(wi, wo).T, weight[:, None] * _series(norm, wi, wo, value))
+
+    empty = jnp.zeros((len(basis.modes), samples.channels), samples.value.dtype)
+    return _fold(samples, ROWS, empty, visit)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "columns columns"]:
+    """R of [sqrt(w) B, sqrt(w) f]: everything that least squares needs to know of the samples."""
+    columns = len(basis.modes) + samples.channels
+
+    def visit(factor, wi, wo, value, weight):
+        root = jnp.sqrt(weight * norm.fit_weight(wi, wo))[:, None]
+        block = root * jnp.concatenate([basis(wi, wo), _series(norm, wi, wo, value)], axis=1)
+        return jnp.linalg.qr(jnp.concatenate([factor, block]), mode="r")
+
+    return _fold(samples, max(ROWS, 4 * columns), jnp.zeros((columns, columns), samples.value.dtype), visit)
+
+
+@partial(jax.jit, static_argnums=2)
+def _solve(factor: Array, gamma: Array | None, unknowns: int) -> tuple[Array, Array, Array]:
+    """Coefficients, condition estimate, and the triangular root of BᵀWB + Γ."""
+    if gamma is not None:
+        rows = jnp.pad(jnp.diag(jnp.sqrt(gamma.astype(factor.dtype))), ((0, 0), (0, factor.shape[1] - unknowns)))
+        factor = jnp.linalg.qr(jnp.concatenate([factor, rows]), mode="r")
+    root = factor[:unknowns, :unknowns]
+    return solve_triangular(root, factor[:unknowns, unknowns:]), _condition(root), root
+
+
+def _condition(root: Float[Array, "n n"]) -> Float[Array, ""]:
+    """Estimate of the 2-norm condition number of a triangular matrix, by power iterations with it and its inverse.
+
+    A lower bound, within a small factor after ten steps; an exact singularity gives infinity.
+    """
+
+    def norm(apply):
+        def step(_, state):
+            v, _ = state
+            v = apply(v)
+            length = jnp.linalg.norm(v)
+            return v / length, length
+
+        # Any start that no singular vector is orthogonal to; this one has no symmetry.
+        start = jnp.cos(jnp.arange(root.shape[0], dtype=root.dtype) ** 2 + 1)
+        return jnp.sqrt(jax.lax.fori_loop(0, 10, step, (start, jnp.zeros((), root.dtype)))[1])
+
+    largest = norm(lambda v: matmul(root.T, matmul(root, v)))
+    inverse = norm(lambda v: solve_triangular(root, solve_triangular(root, v, trans=1)))
+    condition = largest * inverse
+    return jnp.where(jnp.isfinite(condition), condition, jnp.inf)
+
+
+@jax.jit
+def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -> tuple[Array, Array]:
+    """(BᵀWB + Γ)^-1, and the noise variance from the residual of the data and its degrees of freedom."""
+    unknowns, channels = coefficients.shape
+    inverse = solve_triangular(root, jnp.eye(unknowns, dtype=root.dtype))
+    misfit = matmul(factor, jnp.concatenate([coefficients, -jnp.eye(channels, dtype=root.dtype)]))
+    covariance = matmul(inverse, inverse.T)
+    # Of the unknowns, tr((BᵀWB + Γ)^-1 BᵀWB) are determined by the data; without a ridge, all.
+    determined = jnp.sum(matmul(factor[:, :unknowns], inverse) ** 2)
+    freedom = jnp.sum((weight > 0).astype(root.dtype)) - determined
+    return covariance, jnp.sum(misfit**2, axis=0) / freedom
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _residual(basis: AbstractPairBasis, norm: Norm, samples: Samples, coefficients: Array) -> tuple[Array, Array]:
+    """Roots of Σ w |ρ - ρ̂|² and Σ w |ρ|² in the judge's norm, per channel; on the series, which never divides by z."""
+
+    def visit(sums, wi, wo, value, weight):
+        series = _series(norm, wi, wo, value)
+        error = series - basis.evaluate(coefficients, wi, wo)
+        weight = weight * norm.series_judge_weight(wi, wo)
+        return sums + jnp.stack([matmul(weight, error**2), matmul(weight, series**2)])
+
+    error, size = jnp.sqrt(_fold(samples, ROWS, jnp.zeros((2, samples.channels), samples.value.dtype), visit))
+    return error, size
+
+
+def _reciprocity(model: LinearBRDF, samples: Samples) -> tuple[ReciprocityError, ReciprocityError]:
+    """The data's violation, over pairs of samples; the model's, over an even choice of the samples' directions."""
+    some = np.linspace(0, samples.size - 1, min(samples.size, 4096)).astype(int)
+    directions = PairRule(samples.wi[some], samples.wo[some], samples.weight[some], 0, samples.isotropic)
+    return reciprocity_error(samples), reciprocity_error(model, directions)

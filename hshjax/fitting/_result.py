@@ -1,0 +1,38 @@
+"""What a fit returns."""
+
+from typing import Generic, TypeVar
+
+import equinox as eqx
+
+from hshjax._typing import Array, Float
+from hshjax.metrics import ReciprocityError
+
+Model = TypeVar("Model", bound=eqx.Module)
+
+
+class Fit(eqx.Module, Generic[Model]):
+    """A fitted model and what can be said about the fit.
+
+    - `model`: the fitted BRDF.
+    - `norm`: name of the norm (see `NORMS`) in which the two figures that follow are meant.
+    - `residual`: root of Σ w |ρ - ρ̂|² in that norm, per channel. - `relative`: the same over the root of Σ w |ρ|².
+    - `condition`: estimate of the condition number of the weighted design matrix; 1 where inner products were enough.
+    - `method`: "inner products" or "QR". - `samples`, `unknowns`: how many entered, how many were solved for.
+    - `reciprocity_before`: violation in the data, over the pairs of samples that are each other's swap (`pairs` may be
+      0). `reciprocity_after`: that of the model, over the directions of the data. None where they were not asked for.
+    - `covariance`: `(modes, modes)`, to be multiplied by `noise`, the estimated variance per channel of a sample of
+      weight 1: the posterior of the coefficients for Gaussian noise. None where it was not asked for.
+    """
+
+    model: Model
+    residual: Float[Array, " channels"]
+    relative: Float[Array, " channels"]
+    condition: Float[Array, ""]
+    norm: str = eqx.field(static=True)
+    method: str = eqx.field(static=True)
+    samples: int = eqx.field(static=True)
+    unknowns: int = eqx.field(static=True)
+    reciprocity_before: ReciprocityError | None = None
+    reciprocity_after: ReciprocityError | None = None
+    covariance: Float[Array, "modes modes"] | None = None
+    noise: Float[Array, " channels"] | None = None
