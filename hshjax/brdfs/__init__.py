@@ -1,5 +1,21 @@
 """BRDFs: linear in a basis, analytic, sums of those."""
 
-from hshjax.brdfs._base import AbstractBRDF as AbstractBRDF, ScaledBRDF as ScaledBRDF, SumBRDF as SumBRDF, bounded as bounded
+from hshjax.brdfs._base import (
+    AbstractBRDF as AbstractBRDF,
+    ScaledBRDF as ScaledBRDF,
+    SumBRDF as SumBRDF,
+    bounded as bounded,
+)
+from hshjax.brdfs._diffuse import Lambert as Lambert, OrenNayar as OrenNayar
+from hshjax.brdfs._fresnel import (
+    AbstractFresnel as AbstractFresnel,
+    ConductorFresnel as ConductorFresnel,
+    ConstantFresnel as ConstantFresnel,
+    DielectricFresnel as DielectricFresnel,
+    SchlickFresnel as SchlickFresnel,
+)
+from hshjax.brdfs._linear import LinearBRDF as LinearBRDF
+from hshjax.brdfs._lobes import BlinnPhong as BlinnPhong, Ward as Ward
+from hshjax.brdfs._microfacet import GGX as GGX, CookTorrance as CookTorrance
 from hshjax.brdfs._rgl_table import RGLTable as RGLTable
 from hshjax.brdfs._tabulated import TabulatedBRDF as TabulatedBRDF
