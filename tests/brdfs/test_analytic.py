@@ -195,7 +195,7 @@ def test_second_derivatives_are_finite_at_degenerate_pairs(name):
     for order, derivative in enumerate(derivatives):
         for (where, z), entry in zip(pairs, derivative, strict=True):
             if not X64 and z < 1e-5 and order == 2 and name in SHARP_BRDFS:
-                continue  # slope 1e-3 at z = 1e-6: entries of 4e34, one division by z away from float32's largest number
+                continue  # slope 1e-3 at z = 1e-6: entries of 4e34, one division by z below float32's limit
             # In float32 a true derivative at z = 1e-6 may exceed the largest number; it may not be undefined.
             legal = jnp.isfinite(entry) if X64 or z > 1e-5 else ~jnp.isnan(entry)
             assert jnp.all(legal), f"derivative {order} at {where}, z = {z}"
