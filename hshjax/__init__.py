@@ -1,0 +1,69 @@
+"""Compact, reciprocal reflectance in JAX.
+
+Bases of the hemisphere and of pairs of directions, BRDFs that are linear in them, analytic and measured BRDFs, and
+closed-form fits. Files live in `hshjax.io`; pictures, which need the extra `experiments`, in `hshjax.plotting`.
+"""
+
+from hshjax.bases import (
+    HSH as HSH,
+    SHR as SHR,
+    AbstractBasis as AbstractBasis,
+    AbstractPairBasis as AbstractPairBasis,
+    HelmholtzBasis as HelmholtzBasis,
+    IsotropicBasis as IsotropicBasis,
+    LowRank as LowRank,
+    SphericalHarmonics as SphericalHarmonics,
+    TensorBasis as TensorBasis,
+    Zernike as Zernike,
+    convert as convert,
+    factorize as factorize,
+    from_matrix as from_matrix,
+    from_ordered as from_ordered,
+    to_matrix as to_matrix,
+    to_ordered as to_ordered,
+)
+from hshjax.brdfs import (
+    GGX as GGX,
+    AbstractBRDF as AbstractBRDF,
+    AbstractFresnel as AbstractFresnel,
+    BlinnPhong as BlinnPhong,
+    ConductorFresnel as ConductorFresnel,
+    ConstantFresnel as ConstantFresnel,
+    CookTorrance as CookTorrance,
+    DielectricFresnel as DielectricFresnel,
+    Lambert as Lambert,
+    LinearBRDF as LinearBRDF,
+    OrenNayar as OrenNayar,
+    SchlickFresnel as SchlickFresnel,
+    TabulatedBRDF as TabulatedBRDF,
+    Ward as Ward,
+    bounded as bounded,
+)
+from hshjax.fitting import (
+    NORMS as NORMS,
+    Fit as Fit,
+    IsotropicTable as IsotropicTable,
+    Norm as Norm,
+    order_sweep as order_sweep,
+    project as project,
+    relative_error as relative_error,
+)
+from hshjax.geometry import angles as angles, direction as direction, half_vector as half_vector
+from hshjax.metrics import (
+    Negativity as Negativity,
+    ReciprocityError as ReciprocityError,
+    albedo as albedo,
+    hemispherical_albedo as hemispherical_albedo,
+    negativity as negativity,
+    reciprocity_error as reciprocity_error,
+)
+from hshjax.quadrature import (
+    PairRule as PairRule,
+    Rule as Rule,
+    hemisphere_rule as hemisphere_rule,
+    isotropic_pair_rule as isotropic_pair_rule,
+    pair_rule as pair_rule,
+)
+from hshjax.samples import Samples as Samples
+
+__version__ = "0.1.0"

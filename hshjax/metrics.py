@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import KDTree
 
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.quadrature import PairRule, Rule, hemisphere_rule, pair_rule
@@ -144,6 +143,8 @@ def _at(brdf: PairFunction, wi: Float[Array, "3"], wo: Float[Array, "3"]) -> Flo
 
 
 def _samples_reciprocity_error(samples: SampleLike) -> ReciprocityError:
+    from scipy.spatial import KDTree  # here, to keep `import hshjax` cheap
+
     weight = np.asarray(samples.weight, np.float64)
     used = weight > 0
     weight = weight[used]

@@ -67,7 +67,7 @@ class AbstractPairBasis(eqx.Module):
     def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
         """The design row `(*batch, modes)`. `evaluate` is faster wherever only Σ c_k B_k is needed."""
         wi, wo, batch = flat_pairs(wi, wo)
-        return blockwise(jax.checkpoint(self.block_rows), PAIR_BLOCK, wi, wo).reshape(*batch, -1)
+        return blockwise(jax.checkpoint(self.block_rows), PAIR_BLOCK, wi, wo).reshape(*batch, len(self.modes))
 
     def evaluate(
         self, coefficients: Float[Array, "modes ..."], wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]

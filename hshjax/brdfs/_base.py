@@ -13,7 +13,13 @@ from hshjax.geometry import dot
 
 def bounded(low: float, high: float, **kwargs) -> Any:
     """A parameter field that a fit keeps in [low, high] (`bounds` in its metadata); an array of any float dtype."""
-    return eqx.field(converter=jnp.asarray, metadata={"bounds": (low, high)}, **kwargs)
+    return eqx.field(converter=floating, metadata={"bounds": (low, high)}, **kwargs)
+
+
+def floating(value: Any) -> Array:
+    """An array of a float dtype: a parameter given as 32 must be as trainable as 32.0."""
+    value = jnp.asarray(value)
+    return value if jnp.issubdtype(value.dtype, jnp.inexact) else value.astype(jnp.result_type(float))
 
 
 class AbstractBRDF(eqx.Module):

@@ -36,7 +36,7 @@ def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) 
     refuse(jnp.any(jnp.abs(lengths - 1) > 1e-3, axis=0), "have directions that are not of unit length")
     refuse((samples.wi[:, 2] < 0) | (samples.wo[:, 2] < 0), "have a direction below the horizon (z < 0)")
 
-    inside = int(jnp.sum(used & (norm.series_judge_weight(samples.wi, samples.wo) > 0)))
+    inside = int(jnp.sum(used & (norm.judge_weight(samples.wi, samples.wo) > 0)))
     if inside < unknowns and not ridged:
         raise ValueError(
             f"{inside} samples count in norm {norm.name}, but there are {unknowns} unknowns: "

@@ -49,9 +49,9 @@ class Norm:
         """Weight of |f - Σ c B|²."""
         return cosine_power(wi, wo, self.fit) * self._inside(wi, wo)
 
-    def series_judge_weight(self, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Float[Array, " n"]:
-        """The judge's weight, for errors of the series instead of ρ."""
-        return cosine_power(wi, wo, self.judge_series) * self._inside(wi, wo)
+    def judge_weight(self, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Float[Array, " n"]:
+        """Weight of |ρ - ρ̂|²."""
+        return cosine_power(wi, wo, self.judge) * self._inside(wi, wo)
 
     def _inside(self, wi, wo):
         lowest = jnp.minimum(wi[..., 2], wo[..., 2])

@@ -21,16 +21,15 @@ from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis, IsotropicBasis
 from hshjax.bases._base import common_dtype, matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
+from hshjax.fitting._blocks import ROWS, fold
 from hshjax.fitting._checks import check_determined, check_samples
+from hshjax.fitting._misfit import misfit
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._result import Fit
 from hshjax.metrics import ReciprocityError, reciprocity_error
 from hshjax.quadrature import PairRule
 from hshjax.samples import Samples
-
-ROWS = 4096
-"""Samples a block, at least; four times the columns where that is more: carrying R then costs less than the rows."""
 
 SEARCHED = 200_000
 """Samples up to which the data's own reciprocity is measured unasked."""
@@ -56,8 +55,8 @@ def project(
     - `norm`: "A" ... "E": what is minimised, and in which norm the residual is reported; see `NORMS`. The default "D"
       fits z_i z_o ρ.
     - `ridge`, `prior`: Γ = ridge x diag(prior). "flat" is 1; "spectral" is (n(n+1) + p(p+1))², which leaves the
-      constant free and damps fine detail; an array `(modes,)` >= 0 is taken as it is. Scattered data never cover the grazing
-      band: a small spectral ridge keeps the unseen directions tame. Γ is not scaled by the number of samples.
+      constant free and damps fine detail; an array `(modes,)` >= 0 is taken as it is. Scattered data never cover the
+      grazing band: a small spectral ridge keeps the unseen directions tame. Γ is not scaled by the number of samples.
     - `covariance`: also the posterior covariance of the coefficients.
     - `reciprocity`: also the violation of reciprocity in the data (a search among all samples, on the host) and in the
       model. By default up to 200 000 samples, where it takes under a second.
@@ -88,8 +87,8 @@ def project(
             check_determined(condition, unknowns, ridged=gamma is not None)
         posterior, noise = _posterior(factor, root, coefficients, samples.weight) if covariance else (None, None)
 
-    residual, size = _residual(basis, chosen, samples, coefficients)
     model = LinearBRDF(basis, coefficients, chosen.target)
+    residual, size = misfit(model, samples, norm)
     if reciprocity is None:
         reciprocity = samples.size <= SEARCHED
     before, after = _reciprocity(model, samples) if reciprocity and visible else (None, None)
@@ -122,24 +121,6 @@ def _exact(basis: AbstractPairBasis, samples: Samples) -> bool:
     return exact and (isinstance(basis, IsotropicBasis) or not samples.isotropic)
 
 
-def _fold(samples: Samples, rows: int, carry: Array, visit) -> Array:
-    """Fold `visit(carry, wi, wo, value, weight)` over the samples, `rows` at a time, without a copy of them.
-
-    The last block overlaps the one before it; what was seen there already has weight 0.
-    """
-    n = samples.size
-    rows = min(rows, n)
-
-    def step(i, carry):
-        start = jnp.minimum(i * rows, n - rows)
-        block = (samples.wi, samples.wo, samples.value, samples.weight)
-        wi, wo, value, weight = (jax.lax.dynamic_slice_in_dim(a, start, rows) for a in block)
-        fresh = start + jnp.arange(rows) >= i * rows
-        return visit(carry, wi, wo, value, jnp.where(fresh, weight, 0))
-
-    return jax.lax.fori_loop(0, -(-n // rows), step, carry)
-
-
 def _series(norm: Norm, wi: Array, wo: Array, value: Array) -> Array:
     """f = (z_i z_o)^p ρ: what the norm's series stands for."""
     return cosine_power(wi, wo, norm.exponent)[:, None] * value
@@ -151,7 +132,7 @@ def _inner_products(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> F
         return sums + matmul(basis(wi, wo).T, weight[:, None] * _series(norm, wi, wo, value))
 
     empty = jnp.zeros((len(basis.modes), samples.channels), samples.value.dtype)
-    return _fold(samples, ROWS, empty, visit)
+    return fold(samples, ROWS, empty, visit)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -164,7 +145,7 @@ def _factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[
         block = root * jnp.concatenate([basis(wi, wo), _series(norm, wi, wo, value)], axis=1)
         return jnp.linalg.qr(jnp.concatenate([factor, block]), mode="r")
 
-    return _fold(samples, max(ROWS, 4 * columns), jnp.zeros((columns, columns), samples.value.dtype), visit)
+    return fold(samples, max(ROWS, 4 * columns), jnp.zeros((columns, columns), samples.value.dtype), visit)
 
 
 @partial(jax.jit, static_argnums=2)
@@ -211,20 +192,6 @@ def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -
     determined = jnp.sum(matmul(factor[:, :unknowns], inverse) ** 2)
     freedom = jnp.sum((weight > 0).astype(root.dtype)) - determined
     return covariance, jnp.sum(misfit**2, axis=0) / freedom
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _residual(basis: AbstractPairBasis, norm: Norm, samples: Samples, coefficients: Array) -> tuple[Array, Array]:
-    """Roots of Σ w |ρ - ρ̂|² and Σ w |ρ|² in the judge's norm, per channel; on the series, which never divides by z."""
-
-    def visit(sums, wi, wo, value, weight):
-        series = _series(norm, wi, wo, value)
-        error = series - basis.evaluate(coefficients, wi, wo)
-        weight = weight * norm.series_judge_weight(wi, wo)
-        return sums + jnp.stack([matmul(weight, error**2), matmul(weight, series**2)])
-
-    error, size = jnp.sqrt(_fold(samples, ROWS, jnp.zeros((2, samples.channels), samples.value.dtype), visit))
-    return error, size
 
 
 def _reciprocity(model: LinearBRDF, samples: Samples) -> tuple[ReciprocityError, ReciprocityError]:

@@ -1,0 +1,165 @@
+"""The `hshjax` command: look at a measured material, fit it, keep the model."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+try:
+    import typer
+    from rich.console import Console
+    from rich.table import Table
+except ModuleNotFoundError as missing:
+    sys.exit(f"the hshjax command needs {missing.name}: pip install 'hshjax[experiments]'")
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help="Compact, reciprocal reflectance: fit measured materials in closed form.",
+    epilog="Examples:  hshjax info leather.bsdf  ·  hshjax fit leather.bsdf --order 8 --out leather.hshjax",
+)
+console = Console(highlight=False)
+
+File = Annotated[Path, typer.Argument(help="A measured material (RGL .bsdf) or a model that `hshjax fit` saved.")]
+FAMILIES = {"hsh": "HSH", "zernike": "Zernike", "shr": "SHR"}
+
+
+@app.command()
+def info(file: File) -> None:
+    """Say what a file holds: material, channels, range of values, albedo, how reciprocal it is."""
+    brdf, facts = _read(file)
+    table = Table(title=str(file), title_justify="left", show_header=False)
+    for name, value in {**facts, **_figures(brdf)}.items():
+        table.add_row(name, value)
+    console.print(table)
+
+
+@app.command()
+def fit(
+    file: File,
+    basis: Annotated[Literal["hsh", "zernike", "shr"], typer.Option(help="Family of the basis.")] = "hsh",
+    order: Annotated[int, typer.Option(min=0, help="Order of the basis.")] = 8,
+    norm: Annotated[
+        Literal["A", "B", "C", "D", "E"],
+        typer.Option(
+            help="Norm of the fit. D: cosine-weighted in both directions; E: up to 80 degrees. See docs/norms.md."
+        ),
+    ] = "D",
+    ridge: Annotated[
+        float, typer.Option(min=0.0, help="Weight of the spectral prior, which damps fine detail; 0 for none.")
+    ] = 1e-5,
+    degree: Annotated[
+        int | None,
+        typer.Option(min=2, help="Degree of the rule that samples the material [default: 64, or 4 x order]."),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Where to save the model [default: FILE with suffix .hshjax].")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="PNG of a sphere: the measurement on the left, the fit right.")
+    ] = None,
+) -> None:
+    """Fit a measured material by an isotropic reciprocal basis and save the model.
+
+    The fit is a linear least-squares problem: there is nothing to tune but the basis, its order and the norm.
+    """
+    import hshjax
+    from hshjax.io import save_model
+
+    brdf, _ = _read(file)
+    family = getattr(hshjax, FAMILIES[basis])
+    with console.status("sampling and fitting"):
+        rule = hshjax.isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
+        samples = hshjax.Samples.from_function(brdf, rule)
+        pairs = hshjax.IsotropicBasis(family(order))
+        result = hshjax.project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else "flat")
+    out = file.with_suffix(".hshjax") if out is None else out
+    save_model(out, result.model)
+
+    table = Table(title=f"{pairs.basis}, isotropic", title_justify="left", show_header=False)
+    table.add_row("coefficients", f"{result.unknowns} x {samples.channels} channels")
+    table.add_row("samples", f"{result.samples} on a rule of degree {rule.degree}")
+    table.add_row(f"relative error, norm {norm}", _numbers(result.relative))
+    table.add_row("relative error, norm E", _numbers(hshjax.relative_error(result.model, samples, "E")))
+    table.add_row("condition number", f"{float(result.condition):.3g} ({result.method})")
+    for name, error in (("measured", result.reciprocity_before), ("fitted", result.reciprocity_after)):
+        if error is not None:
+            table.add_row(f"violation of reciprocity, {name}", f"{float(error.relative):.3g} ({error.pairs} pairs)")
+    for name, value in _figures(result.model).items():
+        table.add_row(name, value)
+    console.print(table)
+    console.print(f"model: {out}")
+    if picture is not None:
+        _save_spheres(picture, brdf, result.model)
+        console.print(f"picture: {picture}")
+
+
+def _read(file: Path) -> tuple:
+    """The BRDF of a measured file or a saved model, and what to say of it; exits with a message where it cannot."""
+    from hshjax import AbstractBRDF, LinearBRDF
+    from hshjax.brdfs import RGLTable
+    from hshjax.io import load_model, read_rgl
+
+    try:
+        with file.open("rb") as stream:
+            head = stream.read(11)
+        brdf = read_rgl(file) if head == b"tensor_file" else load_model(file)
+    except (OSError, ValueError) as error:
+        raise _exit(str(error)) from error
+    if not isinstance(brdf, AbstractBRDF):
+        raise _exit(f"{file}: expected a BRDF, got a saved {type(brdf).__name__}")
+    facts = {"kind": type(brdf).__name__}
+    if isinstance(brdf, RGLTable):
+        facts |= {"material": brdf.description, "channels": ", ".join(brdf.channel_names)}
+    if isinstance(brdf, LinearBRDF):
+        facts |= {
+            "basis": str(brdf.basis),
+            "coefficients": f"{len(brdf.basis.modes)} x {brdf.channels} channels",
+            "the series stands for": brdf.target,
+        }
+    return brdf, facts
+
+
+def _exit(message: str) -> Exception:
+    console.print(f"[bold red]error:[/] {message}", soft_wrap=True, markup=True)
+    return typer.Exit(2)
+
+
+def _figures(brdf) -> dict[str, str]:
+    """Report figures of a BRDF, over directions up to 80 degrees where that matters."""
+    import jax.numpy as jnp
+
+    import hshjax
+
+    theta = jnp.deg2rad(jnp.asarray([0.0, 45.0, 75.0]))
+    rule = hshjax.hemisphere_rule(64)
+    albedo = hshjax.albedo(brdf, hshjax.direction(theta, jnp.zeros_like(theta)), rule)
+    negative = hshjax.negativity(brdf, hshjax.isotropic_pair_rule(32))
+    return {
+        "albedo at 0, 45, 75 degrees": "   ".join(_numbers(a) for a in albedo),
+        "hemispherical albedo": _numbers(hshjax.hemispherical_albedo(brdf, hshjax.hemisphere_rule(32))),
+        "smallest value": f"{float(negative.minimum):.3g} sr^-1; negative share of the energy {float(negative.share):.2g}",
+    }
+
+
+def _numbers(values) -> str:
+    return " ".join(f"{float(v):.4f}" for v in values)
+
+
+def _save_spheres(path: Path, measured, fitted) -> None:
+    import numpy as np
+    from matplotlib.image import imsave
+
+    from hshjax import plotting
+
+    images = [plotting.sphere(brdf) for brdf in (measured, fitted)]
+    factor = plotting.exposure(images[0])
+    imsave(path, np.concatenate([plotting.display(image, factor) for image in images], axis=1))
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    import jax
+
+    # A command line owns its process, so it may choose: figures are computed in double precision.
+    jax.config.update("jax_enable_x64", True)
+    app()

@@ -1,0 +1,34 @@
+"""Samples block by block, in bounded memory."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from hshjax._typing import Array
+from hshjax.samples import Samples
+
+ROWS = 4096
+"""Samples a block: large enough for the matrix products, small enough for the cache."""
+
+
+def fold(
+    samples: Samples, rows: int, carry: Array, visit: Callable[[Array, Array, Array, Array, Array], Array]
+) -> Array:
+    """Fold `visit(carry, wi, wo, value, weight)` over the samples, `rows` at a time, without a copy of them.
+
+    The last block overlaps the one before it; what was seen there already comes with weight 0.
+    """
+    n = samples.size
+    rows = min(rows, n)
+    if n == 0:
+        return carry
+
+    def step(i, carry):
+        start = jnp.minimum(i * rows, n - rows)
+        block = (samples.wi, samples.wo, samples.value, samples.weight)
+        wi, wo, value, weight = (jax.lax.dynamic_slice_in_dim(a, start, rows) for a in block)
+        fresh = start + jnp.arange(rows) >= i * rows
+        return visit(carry, wi, wo, value, jnp.where(fresh, weight, 0))
+
+    return jax.lax.fori_loop(0, -(-n // rows), step, carry)

@@ -1,0 +1,37 @@
+"""How far a BRDF is from samples, in a named norm."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float, PairFunction
+from hshjax.bases._base import matmul
+from hshjax.fitting._blocks import ROWS, fold
+from hshjax.fitting._norms import named_norm
+from hshjax.samples import Samples
+
+
+def relative_error(brdf: PairFunction, samples: Samples, norm: str = "D") -> Float[Array, " channels"]:
+    """sqrt(Σ w |ρ - ρ̂|² / Σ w |ρ|²) per channel, in the judge's weight of the norm "A" ... "E" (see `NORMS`).
+
+    Any BRDF against any samples: a fit on those it has not seen, say. Weight 0 masks a sample. In bounded memory.
+    """
+    error, size = misfit(brdf, samples, norm)
+    return error / size
+
+
+@eqx.filter_jit
+def misfit(
+    brdf: PairFunction, samples: Samples, norm: str
+) -> tuple[Float[Array, " channels"], Float[Array, " channels"]]:
+    """Numerator and denominator of `relative_error`."""
+    judge = named_norm(norm)
+
+    def visit(sums, wi, wo, value, weight):
+        weight = weight * judge.judge_weight(wi, wo)
+        value = jnp.where((weight > 0)[:, None], value, 0)
+        error = jnp.where((weight > 0)[:, None], brdf(wi, wo) - value, 0)
+        return sums + jnp.stack([matmul(weight, error**2), matmul(weight, value**2)])
+
+    sums = fold(samples, ROWS, jnp.zeros((2, samples.channels), samples.value.dtype), visit)
+    error, size = jnp.sqrt(sums)
+    return error, size
