@@ -108,7 +108,7 @@ class TensorBasis(AbstractPairBasis):
 
     def block_rows(self, wi, wo):
         hi, ho = self.basis(wi), self.basis(wo)
-        return (hi[:, :, None] * ho[:, None, :]).reshape(wi.shape[0], -1)
+        return (hi[:, :, None] * ho[:, None, :]).reshape(wi.shape[0], len(self.modes))
 
     def block_sums(self, coefficients, wi, wo):
         k = len(self.basis.modes)
