@@ -56,7 +56,7 @@ def test_upper_takes_its_derivative_from_above():
 
 @pytest.mark.parametrize(("chart", "factor"), [(to_disk, 0.5), (to_sphere, 2.0)])
 def test_charts_keep_area(chart, factor):
-    """The Jacobian on the tangent plane has the same area everywhere: 2π becomes the π of the disk, the 4π of the sphere."""
+    """The Jacobian on the tangent plane has the same area everywhere: 2π becomes π (the disk), 4π (the sphere)."""
     w = directions(3, 20, min_z=0.01)
     tangents = frame(w)[:, :2].swapaxes(1, 2)
     jacobian = jax.vmap(jax.jacfwd(chart))(w) @ tangents

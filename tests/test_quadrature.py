@@ -30,7 +30,7 @@ def test_polar_nodes(degree):
 
 @pytest.mark.parametrize("degree", DEGREES)
 def test_polar_nodes_with_square_roots(degree):
-    """z^{a/2}, a <= 2 degree; above, the square of the polynomial in v = sqrt(z) that vanishes at the nodes is missed."""
+    """z^{a/2}, a <= 2 degree; above, the square of the polynomial in sqrt(z) that vanishes at the nodes is missed."""
     z, weight = polar_nodes(degree, sqrt=True)
     assert z.size == degree + 1
     for a in range(2 * degree + 1):
@@ -121,7 +121,7 @@ def test_azimuths_are_raised_and_lowered_alone():
 
 @pytest.mark.parametrize(("levels", "order"), [(3, 0), (10, 8), (14, 40)])
 def test_graded_azimuths(levels, order):
-    """Symmetric nodes in (-π, π); narrow lobes at 0 and at ±π, where as many equispaced nodes fail, and cos² order φ."""
+    """Symmetric nodes in (-π, π); narrow lobes at 0 and at ±π, where as many equispaced ones fail, and cos² order φ."""
     phi, weight = graded_azimuths(levels, order)
     assert np.all(np.abs(phi) < np.pi)
     assert np.all(np.diff(phi) > 0)

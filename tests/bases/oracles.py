@@ -23,7 +23,7 @@ def cartesian(name: str, order: int, w: np.ndarray) -> np.ndarray:
 
 
 def angular(name: str, order: int, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
-    """`hsh` and `spherical` by scipy's associated Legendre functions, `zernike` by the circle polynomial on the disk."""
+    """`hsh` and `spherical` by scipy's associated Legendre functions, `zernike` by Jacobi polynomials in ρ."""
     functions = []
     for n, m in _modes(name, order):
         k = abs(m)
