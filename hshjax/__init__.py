@@ -44,6 +44,7 @@ from hshjax.fitting import (
     Fit as Fit,
     IsotropicTable as IsotropicTable,
     Norm as Norm,
+    misfit as misfit,
     order_sweep as order_sweep,
     project as project,
     relative_error as relative_error,

@@ -137,7 +137,8 @@ def _figures(brdf) -> dict[str, str]:
     return {
         "albedo at 0, 45, 75 degrees": "   ".join(_numbers(a) for a in albedo),
         "hemispherical albedo": _numbers(hshjax.hemispherical_albedo(brdf, hshjax.hemisphere_rule(32))),
-        "smallest value": f"{float(negative.minimum):.3g} sr^-1; negative share of the energy {float(negative.share):.2g}",
+        "smallest value": f"{float(negative.minimum):.3g} sr^-1",
+        "negative share of the energy": f"{float(negative.share):.2g}",
     }
 
 

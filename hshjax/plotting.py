@@ -3,6 +3,7 @@
 Nothing here opens a window or writes a file: functions draw on axes that they are given, or return an image.
 """
 
+import itertools
 from collections.abc import Mapping
 from typing import Any
 
@@ -18,33 +19,32 @@ COLOURS = ("#009E73", "#D55E00", "#0072B2", "#CC79A7", "#E69F00", "#56B4E9")
 
 
 def incident_plane(
-    axes: Any, brdfs: Mapping[str, PairFunction], theta_i: float, *, channel: int = 0, cosine: bool = False
+    axes: Any, brdfs: Mapping[str, PairFunction], theta_i: float, *, channel: int = 0, max_theta: float = np.radians(80)
 ) -> None:
     """Polar plot of ρ [sr^-1] over θ_o in the plane of incidence, incidence at `theta_i` [radians] on the left.
 
-    - `axes`: polar matplotlib axes. - `brdfs`: label -> BRDF; the first is drawn solid, as the reference.
-    - `channel`: which channel. - `cosine`: plot ρ cos θ_o instead, the shape that a radiance meter sees.
+    - `axes`: polar matplotlib axes. - `brdfs`: label -> BRDF; the first is drawn solid and sets the scale: a fit that
+      shoots up must not flatten everything else. - `channel`: which channel.
+    - `max_theta`: largest |θ_o| that is drawn; nearer to grazing, BRDFs grow without bound and tables are extrapolated.
 
     Negative values, which a polar plot cannot show, are drawn as 0; the legend says how deep they go.
     """
-    theta = np.linspace(-np.pi / 2, np.pi / 2, 721)[1:-1]
+    theta = np.linspace(-max_theta, max_theta, 641)
     wi = direction(jnp.asarray(theta_i), jnp.asarray(np.pi))
     wo = direction(jnp.asarray(theta), jnp.zeros(theta.size))
+    values = {label: np.asarray(brdf(wi, wo))[:, channel] for label, brdf in brdfs.items()}
+    top = 1.15 * next(iter(values.values())).max()
+    axes.plot([-theta_i, -theta_i], [0, top], color="#E69F00", lw=1.6, ls="--", label="incidence")
+    for colour, (label, value) in zip(itertools.cycle(COLOURS), values.items(), strict=False):
+        if value.min() < 0:
+            label = f"{label} (min {value.min():.2g})"
+        style = {"lw": 2.2, "ls": "-"} if colour == COLOURS[0] else {"lw": 1.4, "ls": "--"}
+        axes.plot(theta, np.maximum(value, 0), label=label, color=colour, **style)
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     axes.set_thetalim(-np.pi / 2, np.pi / 2)
-    top = 0.0
-    for index, (label, brdf) in enumerate(brdfs.items()):
-        value = np.asarray(brdf(wi, wo))[:, channel] * (np.cos(theta) if cosine else 1)
-        if value.min() < 0:
-            label = f"{label} (min {value.min():.2g})"
-        style = {"lw": 2.2, "ls": "-"} if index == 0 else {"lw": 1.4, "ls": "--"}
-        axes.plot(theta, np.maximum(value, 0), label=label, color=COLOURS[index % len(COLOURS)], **style)
-        # The reference sets the scale: a fit that shoots up at grazing must not flatten everything else.
-        top = max(top, value.max()) if index == 0 else top
-    axes.set_rmax(1.15 * top)
-    axes.plot([-theta_i, -theta_i], [0, 1.15 * top], color="#E69F00", lw=1.6, ls="--", label="incidence")
-    axes.set_rlabel_position(90)
+    axes.set_rlim(0, top)
+    axes.set_rticks(np.linspace(0, top, 5)[1:-1], [f"{r:.2g}" for r in np.linspace(0, top, 5)[1:-1]])
     axes.tick_params(labelsize=8)
 
 

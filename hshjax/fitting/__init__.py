@@ -1,6 +1,6 @@
 """Fits in closed form: projections in named norms, and the errors of all orders at once."""
 
-from hshjax.fitting._misfit import relative_error as relative_error
+from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._project import project as project
 from hshjax.fitting._result import Fit as Fit

@@ -1,7 +1,7 @@
 """The closed form: the best BRDF of a basis in a named norm, by inner products or by QR.
 
-On the nodes of a rule that is exact for the basis, under a flat weight, the coefficients are inner products. In every
-other case they are the weighted least squares
+On the nodes of a rule that is exact for the basis, under a flat weight, the coefficients are inner products (divided
+by 1 + Γ). In every other case they are the weighted least squares
 
     argmin_c  Σ_k w_k |f_k - B_k c|² + cᵀ Γ c,     f = (z_i z_o)^p ρ,
 
@@ -76,10 +76,14 @@ def project(
         check_samples(samples, chosen, unknowns, ridged=gamma is not None)
 
     samples = _in_one_dtype(samples)
-    inner = gamma is None and not covariance and chosen.orthonormal and _exact(basis, samples)
+    inner = not covariance and chosen.orthonormal and _exact(basis, samples)
     if inner:
         coefficients = _inner_products(basis, chosen, samples)
         condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
+        if gamma is not None:  # BᵀWB is the identity: the penalty shrinks every coefficient by itself
+            diagonal = 1 + gamma.astype(coefficients.dtype)
+            coefficients = coefficients / diagonal[:, None]
+            condition = jnp.sqrt(jnp.max(diagonal) / jnp.min(diagonal))
     else:
         factor = _factorize(basis, chosen, samples)
         coefficients, condition, root = _solve(factor, gamma, unknowns)
