@@ -162,7 +162,7 @@ class _Lobes:
         size = len(heads)
         width = max(3.0, 0.72 * size)
         figure, ax = plt.subplots(figsize=(width, width))
-        self._paint(ax, {k: (a, -0.85 * b) for k, (a, b) in places.items()}, unit=0.95)
+        self._paint(ax, {k: (a, -0.85 * b) for k, (a, b) in places.items()}, unit=0.75)
         for i, head in enumerate(heads):
             ax.text(-0.75, -0.85 * i + 0.1, head, ha="right", va="center", fontsize=9, color="0.25")
             ax.text(i, -0.85 * i + 0.6, head, ha="center", va="bottom", fontsize=9, color="0.25")

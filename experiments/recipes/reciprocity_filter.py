@@ -33,7 +33,7 @@ class Config(RecipeConfig):
     recipe: Literal["reciprocity_filter"]
     orders: Annotated[Orders, Field(description="orders of HSH, noise")] = (2, 4)
     brdfs: Annotated[tuple[Name, ...], Field(min_length=1, description="surfaces under noise")] = PAPER_BRDFS
-    levels: Annotated[tuple[float, ...], Field(min_length=1, description="size of the noise, relative to the truth")] = (
+    levels: Annotated[tuple[float, ...], Field(min_length=1, description="size of the noise, relative to truth")] = (
         0.03, 0.1, 0.3,
     )  # fmt: skip
     degree: Annotated[int, Field(ge=2, description="degree of the pair rule of the noisy samples")] = 20
@@ -279,6 +279,8 @@ def _draw_noise(config: Config, rows):
         ax.loglog(config.levels, config.levels, color="0.5", linestyle="--", linewidth=1, label="samples")
         ax.set_title(TITLES[name], fontsize=10)
         ax.set_xlabel("noise, relative")
+        ax.set_xticks(config.levels, [f"{level:g}" for level in config.levels])
+        ax.xaxis.set_minor_formatter("")
         plain(ax)
     axes[0, 0].set_ylabel("distance to the truth, relative")
     axes[0, -1].legend(frameon=False, fontsize=7)
