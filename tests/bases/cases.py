@@ -27,6 +27,9 @@ ALL_PAIRS = {
 }
 """Every pair basis over every basis, as two constructors."""
 
+SOME_PAIRS = ["tensor-hsh", "helmholtz-zernike", "isotropic-hsh", "isotropic_bilateral-shr"]
+"""Every pair basis, and every basis, once: for what costs a compilation and is the same code for all."""
+
 
 # Bases are static arguments, hashed by value: a basis of one order is compiled once for the whole run of the tests.
 
