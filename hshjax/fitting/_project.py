@@ -23,6 +23,7 @@ from hshjax.bases._base import common_dtype, matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS, fold
 from hshjax.fitting._checks import check_determined, check_samples
+from hshjax.fitting._lapack import suited_threads
 from hshjax.fitting._misfit import misfit
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
@@ -85,7 +86,10 @@ def project(
             coefficients = coefficients / diagonal[:, None]
             condition = jnp.sqrt(jnp.max(diagonal) / jnp.min(diagonal))
     else:
-        factor = _factorize(basis, chosen, samples)
+        with suited_threads(unknowns + samples.channels):
+            factor = _factorize(basis, chosen, samples)
+            if visible:
+                factor.block_until_ready()  # before the limit ends: calls return before their work is done
         coefficients, condition, root = _solve(factor, gamma, unknowns)
         if visible:
             check_determined(condition, unknowns, ridged=gamma is not None)
