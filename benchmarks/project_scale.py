@@ -1,0 +1,76 @@
+"""Peak memory and time of `project` on many scattered samples: python -m benchmarks.project_scale --samples 10000000
+
+165 unknowns (`IsotropicBasis(HSH(8))`), three channels, float32, norm A, so that the streamed QR does the work. Prints
+one line of JSON. The peak is that of the whole process: samples, libraries and compilation included.
+"""
+
+import argparse
+import json
+import resource
+import sys
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax.bases import HSH, IsotropicBasis
+from hshjax.fitting import project
+from hshjax.samples import Samples
+
+CHANNELS = 3
+PART = 1_000_000
+"""Samples drawn at a time: what numpy needs on the way stays small."""
+
+
+def uniform_directions(rng: np.random.Generator, n: int) -> jax.Array:
+    """Uniform on the hemisphere, `(n, 3)` float32."""
+    w = np.empty((n, 3), np.float32)
+    for start in range(0, n, PART):
+        part = w[start : start + PART]
+        part[:, 2] = rng.random(len(part), np.float32)
+        phi = rng.random(len(part), np.float32) * np.float32(2 * np.pi)
+        rim = np.sqrt((1 - part[:, 2]) * (1 + part[:, 2]))
+        part[:, 0], part[:, 1] = rim * np.cos(phi), rim * np.sin(phi)
+    return jnp.asarray(w)
+
+
+def random_samples(n: int, seed: int = 0) -> Samples:
+    """Noise: time and memory do not depend on the values."""
+    rng = np.random.default_rng(seed)
+    wi, wo = uniform_directions(rng, n), uniform_directions(rng, n)
+    return Samples.scattered(wi, wo, jnp.asarray(rng.random((n, CHANNELS), np.float32)))
+
+
+def peak_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak  # kilobytes, but on macOS
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=10_000_000)
+    n = parser.parse_args().samples
+    basis = IsotropicBasis(HSH(8))
+    samples = jax.block_until_ready(random_samples(n))
+    before = peak_bytes()
+    start, start_cpu = time.perf_counter(), time.process_time()
+    fit = jax.block_until_ready(project(basis, samples, norm="A", reciprocity=False))
+    figures = {
+        "samples": n,
+        "unknowns": fit.unknowns,
+        "channels": CHANNELS,
+        "dtype": str(fit.model.coefficients.dtype),
+        "seconds": round(time.perf_counter() - start, 1),
+        "cpu_seconds": round(time.process_time() - start_cpu, 1),
+        "peak_gigabytes": round(peak_bytes() / 1e9, 3),
+        "peak_before_gigabytes": round(before / 1e9, 3),
+        "condition": float(fit.condition),
+        "relative": [round(float(x), 6) for x in fit.relative],
+    }
+    print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()
