@@ -103,9 +103,8 @@ class AbstractBasis(eqx.Module):
 def common_dtype(*arrays: Array) -> tuple[Array, ...]:
     """The arrays in their common floating dtype, explicitly, so that strict promotion has nothing to object to."""
     arrays = tuple(jnp.asarray(a) for a in arrays)
-    dtype = arrays[0].dtype
-    for a in arrays[1:]:
-        dtype = jnp.promote_types(dtype, a.dtype)
+    with jax.numpy_dtype_promotion("standard"):
+        dtype = jnp.result_type(*arrays)
     return tuple(a.astype(dtype) for a in arrays)
 
 

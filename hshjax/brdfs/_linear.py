@@ -66,4 +66,6 @@ def cosine_power(
 ) -> Float[Array, " *batch"]:
     """(z_i z_o)^exponent; exactly 1 for the exponent 0."""
     product = wi[..., 2] * wo[..., 2]
-    return jnp.ones_like(product) if exponent == 0 else product**exponent
+    if exponent == 0:
+        return jnp.ones_like(product)
+    return product ** (int(exponent) if float(exponent).is_integer() else exponent)  # integer powers are exact

@@ -17,7 +17,8 @@ def fold(
 ) -> Array:
     """Fold `visit(carry, wi, wo, value, weight)` over the samples, `rows` at a time, without a copy of them.
 
-    The last block overlaps the one before it; what was seen there already comes with weight 0.
+    The last block overlaps the one before it; what was seen there already comes with weight 0. Samples of weight 0 may
+    hold anything, NaN included: `visit` sees the normal and the value 0 in their place.
     """
     n = samples.size
     rows = min(rows, n)
@@ -29,6 +30,10 @@ def fold(
         block = (samples.wi, samples.wo, samples.value, samples.weight)
         wi, wo, value, weight = (jax.lax.dynamic_slice_in_dim(a, start, rows) for a in block)
         fresh = start + jnp.arange(rows) >= i * rows
-        return visit(carry, wi, wo, value, jnp.where(fresh, weight, 0))
+        weight = jnp.where(fresh, weight, 0)
+        used = (weight > 0)[:, None]
+        pole = jnp.zeros_like(wi).at[:, 2].set(1)
+        wi, wo = jnp.where(used, wi, pole), jnp.where(used, wo, pole)
+        return visit(carry, wi, wo, jnp.where(used, value, 0), weight)
 
     return jax.lax.fori_loop(0, -(-n // rows), step, carry)

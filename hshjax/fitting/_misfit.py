@@ -16,7 +16,12 @@ def relative_error(brdf: PairFunction, samples: Samples, norm: str = "D") -> Flo
     Any BRDF against any samples: a fit on those it has not seen, say. Weight 0 masks a sample. In bounded memory.
     """
     error, size = misfit(brdf, samples, norm)
-    return error / size
+    return ratio(error, size)
+
+
+def ratio(error: Float[Array, " channels"], size: Float[Array, " channels"]) -> Float[Array, " channels"]:
+    """error / size, and 0 for a black channel that is met exactly."""
+    return jnp.where(error == 0, 0, error / jnp.where(error == 0, 1, size))
 
 
 @eqx.filter_jit

@@ -24,7 +24,7 @@ from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS, fold
 from hshjax.fitting._checks import check_determined, check_samples
 from hshjax.fitting._lapack import suited_threads
-from hshjax.fitting._misfit import misfit
+from hshjax.fitting._misfit import misfit, ratio
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._result import Fit
@@ -73,10 +73,10 @@ def project(
     gamma = penalty(basis, ridge, prior)
     unknowns = len(basis.modes)
     visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
+    samples = _in_one_dtype(samples)
     if visible:
         check_samples(samples, chosen, unknowns, ridged=gamma is not None)
 
-    samples = _in_one_dtype(samples)
     inner = not covariance and chosen.orthonormal and _exact(basis, samples)
     if inner:
         coefficients = _inner_products(basis, chosen, samples)
@@ -87,13 +87,15 @@ def project(
             condition = jnp.sqrt(jnp.max(diagonal) / jnp.min(diagonal))
     else:
         with suited_threads(unknowns + samples.channels):
-            factor = _factorize(basis, chosen, samples)
+            coefficients, condition, factor, root = _least_squares(basis, chosen, samples, gamma)
             if visible:
-                factor.block_until_ready()  # before the limit ends: calls return before their work is done
-        coefficients, condition, root = _solve(factor, gamma, unknowns)
+                root.block_until_ready()  # before the limit ends: calls return before their work is done
         if visible:
             check_determined(condition, unknowns, ridged=gamma is not None)
-        posterior, noise = _posterior(factor, root, coefficients, samples.weight) if covariance else (None, None)
+        posterior = noise = None
+        if covariance:
+            weight = samples.weight * chosen.fit_weight(samples.wi, samples.wo)
+            posterior, noise = _posterior(factor, root, coefficients, weight)
 
     model = LinearBRDF(basis, coefficients, chosen.target)
     residual, size = misfit(model, samples, norm)
@@ -103,7 +105,7 @@ def project(
     return Fit(
         model,
         residual,
-        residual / size,
+        ratio(residual, size),
         condition,
         norm=norm,
         method="inner products" if inner else "QR",
@@ -117,9 +119,8 @@ def project(
 
 
 def _in_one_dtype(samples: Samples) -> Samples:
-    """One dtype throughout, and zeros for the values of masked samples, which may be anything, NaN included."""
+    """One dtype throughout."""
     wi, wo, value, weight = common_dtype(samples.wi, samples.wo, samples.value, samples.weight)
-    value = jnp.where((weight > 0)[:, None], value, 0)
     return Samples(wi, wo, value, weight, samples.degree, samples.isotropic)
 
 
@@ -141,6 +142,46 @@ def _inner_products(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> F
 
     empty = jnp.zeros((len(basis.modes), samples.channels), samples.value.dtype)
     return fold(samples, ROWS, empty, visit)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+def _least_squares(
+    basis: AbstractPairBasis, norm: Norm, samples: Samples, gamma: Array | None
+) -> tuple[Array, Array, Array, Array]:
+    """Coefficients, condition estimate, R of the data, and the triangular root of BᵀWB + Γ."""
+    factor = _factorize(basis, norm, samples)
+    coefficients, condition, root = _solve(factor, gamma, len(basis.modes))
+    return coefficients, condition, factor, root
+
+
+@_least_squares.defjvp
+def _(basis, norm, primals, tangents):
+    """By the implicit function theorem, at the optimum: (BᵀWB + Γ) dc = d[BᵀW(f - Bc) - Γc] with c held.
+
+    Not through the factorisation: R's last columns are singular where a channel lies in the span of the basis, and the
+    derivative of QR is wrong there without a sign of it. Condition, R and its root count as constants.
+    """
+    coefficients, condition, factor, root = _least_squares(basis, norm, *primals)
+    held = jax.lax.stop_gradient(coefficients)
+    tangent = jax.jvp(lambda samples, gamma: _normal_residual(basis, norm, samples, gamma, held), primals, tangents)[1]
+    tangent = solve_triangular(root, solve_triangular(root, tangent, trans=1))
+    constants = (condition, factor, root)
+    return (coefficients, *constants), (tangent, *(jnp.zeros_like(constant) for constant in constants))
+
+
+def _normal_residual(
+    basis: AbstractPairBasis, norm: Norm, samples: Samples, gamma: Array | None, coefficients: Array
+) -> Float[Array, "modes channels"]:
+    """BᵀW(f - Bc) - Γc: zero at the optimum."""
+
+    @jax.checkpoint  # a transpose keeps the samples and forms the rows again
+    def visit(sums, wi, wo, value, weight):
+        rows = basis(wi, wo)
+        misfit = _series(norm, wi, wo, value) - matmul(rows, coefficients)
+        return sums + matmul(rows.T, (weight * norm.fit_weight(wi, wo))[:, None] * misfit)
+
+    sums = fold(samples, ROWS, jnp.zeros_like(coefficients), visit)
+    return sums if gamma is None else sums - gamma.astype(sums.dtype)[:, None] * coefficients
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -191,7 +232,10 @@ def _condition(root: Float[Array, "n n"]) -> Float[Array, ""]:
 
 @jax.jit
 def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -> tuple[Array, Array]:
-    """(BᵀWB + Γ)^-1, and the noise variance from the residual of the data and its degrees of freedom."""
+    """(BᵀWB + Γ)^-1, and the noise variance from the residual of the data and its degrees of freedom.
+
+    `weight` is that of the fit: what a norm does not see is no degree of freedom.
+    """
     unknowns, channels = coefficients.shape
     inverse = solve_triangular(root, jnp.eye(unknowns, dtype=root.dtype))
     misfit = matmul(factor, jnp.concatenate([coefficients, -jnp.eye(channels, dtype=root.dtype)]))
@@ -204,6 +248,7 @@ def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -
 
 def _reciprocity(model: LinearBRDF, samples: Samples) -> tuple[ReciprocityError, ReciprocityError]:
     """The data's violation, over pairs of samples; the model's, over an even choice of the samples' directions."""
-    some = np.linspace(0, samples.size - 1, min(samples.size, 4096)).astype(int)
+    used = np.flatnonzero(np.asarray(samples.weight) > 0)
+    some = used[np.linspace(0, used.size - 1, min(used.size, 4096)).astype(int)]
     directions = PairRule(samples.wi[some], samples.wo[some], samples.weight[some], 0, samples.isotropic)
     return reciprocity_error(samples), reciprocity_error(model, directions)
