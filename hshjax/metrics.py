@@ -8,6 +8,7 @@ at `_CHUNK` pairs at a time.
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -66,6 +67,11 @@ def albedo(brdf: PairFunction, wo: Float[Array, "... 3"], rule: Rule | None = No
     """
     wo = jnp.asarray(wo)
     rule = hemisphere_rule(_DEGREE, dtype=wo.dtype) if rule is None else rule
+    return _albedo(brdf, wo, rule)
+
+
+@eqx.filter_jit
+def _albedo(brdf: PairFunction, wo: Float[Array, "... 3"], rule: Rule) -> Real:
     wi = rule.w.astype(wo.dtype)
     foreshortened = (rule.weight * rule.w[:, 2]).astype(wo.dtype)[:, None]
 
@@ -88,8 +94,11 @@ def negativity(brdf: PairFunction, rule: PairRule | None = None) -> Negativity:
 
     All channels together. Default rule: `pair_rule(16)`; give an `isotropic_pair_rule` of higher degree where it fits.
     """
-    rule = pair_rule(_PAIR_DEGREE) if rule is None else rule
+    return _negativity(brdf, pair_rule(_PAIR_DEGREE) if rule is None else rule)
 
+
+@eqx.filter_jit
+def _negativity(brdf: PairFunction, rule: PairRule) -> Negativity:
     def one(node):
         wi, wo, weight = node
         value = _at(brdf, wi, wo)
@@ -118,8 +127,11 @@ def reciprocity_error(subject: PairFunction | SampleLike, rule: PairRule | None 
                 f"samples bring their own pairs: rule must be None, got a PairRule of degree {rule.degree}"
             )
         return _samples_reciprocity_error(subject)
-    rule = pair_rule(_PAIR_DEGREE) if rule is None else rule
+    return ReciprocityError(*_reciprocity(subject, pair_rule(_PAIR_DEGREE) if rule is None else rule))
 
+
+@eqx.filter_jit
+def _reciprocity(subject: PairFunction, rule: PairRule) -> tuple[Array, Array, int]:
     def one(node):
         wi, wo, weight = node
         value, swapped = _at(subject, wi, wo), _at(subject, wo, wi)
@@ -132,9 +144,7 @@ def reciprocity_error(subject: PairFunction | SampleLike, rule: PairRule | None 
     square, power, maximum = jax.lax.map(one, (rule.wi, rule.wo, rule.weight), batch_size=_CHUNK // 2)
     square, power = jnp.sum(square), jnp.sum(power)
     some = power > 0
-    return ReciprocityError(
-        jnp.where(some, jnp.sqrt(square / jnp.where(some, power, 1)), 0), jnp.max(maximum), rule.weight.size
-    )
+    return jnp.where(some, jnp.sqrt(square / jnp.where(some, power, 1)), 0), jnp.max(maximum), rule.weight.size
 
 
 def _at(brdf: PairFunction, wi: Float[Array, "3"], wo: Float[Array, "3"]) -> Float[Array, " channels"]:

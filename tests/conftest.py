@@ -15,6 +15,11 @@ jax.config.update("jax_enable_x64", DTYPE == "float64")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
+# Nearly all of the suite's time is compilation, much of it of equal programs: compile each once, and never again.
+jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
 # Every annotated function of the library checks its shapes while the tests run.
 _hook = install_import_hook("hshjax", "beartype.beartype")
 _hook.__enter__()

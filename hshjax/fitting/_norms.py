@@ -65,7 +65,9 @@ NORMS: dict[str, Norm] = {
         Norm("B", "projection of sqrt(cos θi cos θo) ρ", "half_foreshortened", fit=0.0, judge=1.0),
         Norm("C", "projection of ρ, judged under cos θi cos θo", "brdf", fit=0.0, judge=1.0),
         Norm("D", "projection of cos θi cos θo ρ", "foreshortened", fit=0.0, judge=2.0),
-        Norm("E", "least squares under cos θi cos θo, θ <= 80°", "brdf", fit=1.0, judge=1.0, max_theta=math.radians(80)),
+        Norm(
+            "E", "least squares under cos θi cos θo, θ <= 80°", "brdf", fit=1.0, judge=1.0, max_theta=math.radians(80)
+        ),
     )
 }
 """The norms A-E by name. D is the default of `project`: z_i z_o ρ is bounded, and z_i ρ is what Eq. 1 integrates."""
