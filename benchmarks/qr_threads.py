@@ -49,7 +49,8 @@ def main() -> None:
                     series.append(time.perf_counter() - start)
         for process in others:
             process.terminate()
-        print(f"| {machine} | " + " | ".join(f"{1e3 * float(np.median(series)):.0f}" for series in times.values()) + " |")
+        one, many = (f"{1e3 * float(np.median(series)):.0f}" for series in times.values())
+        print(f"| {machine} | {one} | {many} |")
 
 
 if __name__ == "__main__":

@@ -58,10 +58,10 @@ def to_sphere(w: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
 
 
 def frame(normal: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
-    """A rotation R with R @ normal = (0, 0, 1): rows are tangent, bitangent, normal. Smooth away from normal = -z.
+    """A rotation R with R @ normal = (0, 0, 1): rows are tangent, bitangent, normal.
 
-    Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017, on the branch z >= 0; the other
-    branch has its seam at z = 0.
+    Finite with finite derivatives for every normal; the tangent jumps where the normal crosses the plane z = 0, which
+    an isotropic BRDF does not notice. Source: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017.
     """
     x, y, z = normal[..., 0], normal[..., 1], normal[..., 2]
     sign = jnp.where(z >= 0, 1, -1).astype(normal.dtype)

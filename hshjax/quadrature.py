@@ -92,6 +92,8 @@ def isotropic_pair_rule(degree: int, *, azimuths: int | None = None, dtype=None)
 
     Exact for isotropic integrands. `azimuths` may be raised alone for lobes that are sharp in azimuth.
     """
+    if azimuths is not None and azimuths < 1:
+        raise ValueError(f"azimuths must be >= 1, got {azimuths}")
     z, weight = polar_nodes(degree)
     phi = azimuth_nodes(degree if azimuths is None else azimuths - 1)
     zi, zo, dphi = (a.ravel() for a in np.meshgrid(z, z, phi, indexing="ij"))

@@ -13,8 +13,9 @@ class Samples(eqx.Module):
     - `wi`, `wo`: unit directions `(n, 3)`, local frame (normal +z), both away from the surface.
     - `value`: the BRDF `(n, channels)` [sr^-1], cosine not included.
     - `weight`: `(n,)`, solid angle of a quadrature node [sr²] or a confidence; 0 masks a sample.
-    - `degree`, `isotropic`: set where the samples are the nodes of a rule that is exact to this degree
-      (see `hshjax.quadrature`), None for scattered samples. Changing weights makes samples scattered.
+    - `degree`: set where the samples are the nodes of a rule that is exact to this degree (see `hshjax.quadrature`),
+      None for scattered samples. Changing weights makes samples scattered.
+    - `isotropic`: whether only φ_i - φ_o matters; a rule with wi at φ = 0 is exact for such functions only.
 
     **Raises:** ValueError where the shapes disagree.
     """
@@ -62,11 +63,17 @@ class Samples(eqx.Module):
         wo: Float[Array, "n 3"],
         value: Float[Array, "n channels"],
         weight: Float[Array, " n"] | None = None,
+        *,
+        isotropic: bool = False,
     ) -> "Samples":
-        """Samples at arbitrary pairs; every weight 1 unless given."""
+        """Samples at arbitrary pairs; every weight 1 unless given.
+
+        `isotropic` says that only φ_i - φ_o matters: reciprocity is then compared up to a common rotation.
+        """
         wi = jnp.asarray(wi)
-        return cls(wi, wo, value, jnp.ones(wi.shape[0], wi.dtype) if weight is None else weight)
+        weight = jnp.ones(wi.shape[0], wi.dtype) if weight is None else weight
+        return cls(wi, wo, value, weight, None, isotropic)
 
     def reweighted(self, weight: Float[Array, " n"]) -> "Samples":
-        """The same samples under other weights: scattered from now on."""
-        return Samples(self.wi, self.wo, self.value, weight)
+        """The same samples under other weights: no longer the nodes of an exact rule."""
+        return Samples(self.wi, self.wo, self.value, weight, None, self.isotropic)

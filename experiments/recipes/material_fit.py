@@ -15,7 +15,7 @@ class Config(RecipeConfig):
     """Which file, and how it is fitted."""
 
     recipe: Literal["material_fit"]
-    file: Annotated[DataPath, Field(description='a measured material (RGL .bsdf), "$HSHJAX_DATA/..." or a path')]
+    file: Annotated[DataPath, Field(description='measured material (RGL .bsdf): a path, or "$HSHJAX_DATA/..."')]
     fit: FitSection = FitSection(ridge=1e-5)
     pictures: PictureSection = PictureSection()
 
