@@ -8,6 +8,10 @@ PYTHON_IN_VENV := $(VENV)/bin/python
 # uv installs into this environment only, and never fetches an interpreter.
 UV := UV_PYTHON_DOWNLOADS=never UV_PYTHON=$(abspath $(PYTHON_IN_VENV)) UV_PROJECT_ENVIRONMENT=$(abspath $(VENV)) $(VENV)/bin/uv
 PYTEST := $(PYTHON_IN_VENV) -m pytest
+# Compilation fills the suite's time, and compiles on one core: a worker a core.
+PARALLEL := -n auto --dist worksteal
+# What computes, and has a tolerance for float32. The rest (files, studies, fits, docs) runs there in `make test-slow`.
+FLOAT32 := tests/bases tests/test_quadrature.py tests/test_geometry.py tests/test_samples.py tests/test_metrics.py
 # Extra arguments of every pytest run: make test PYTEST_ARGS="-x -k basis"
 PYTEST_ARGS ?=
 # Interpreters of `make test-matrix`.
@@ -26,16 +30,17 @@ help: ## List the targets
 demo: $(VENV)/.installed ## Run configs/quickstart.toml; prints where its report is
 	$(PYTHON_IN_VENV) -m experiments configs/quickstart.toml
 
-test: test-float64 test-float32 ## Run the suite in float64, then in float32 (without the slow tests)
+test: test-float64 test-float32 ## Run the suite in float64, then what computes in float32 (without the slow tests)
 
 test-float64: $(VENV)/.installed
-	HSHJAX_TEST_DTYPE=float64 $(PYTEST) $(PYTEST_ARGS)
+	HSHJAX_TEST_DTYPE=float64 $(PYTEST) $(PARALLEL) $(PYTEST_ARGS)
 
 test-float32: $(VENV)/.installed
-	HSHJAX_TEST_DTYPE=float32 $(PYTEST) $(PYTEST_ARGS)
+	HSHJAX_TEST_DTYPE=float32 $(PYTEST) $(PARALLEL) $(FLOAT32) $(PYTEST_ARGS)
 
-test-slow: $(VENV)/.installed ## Run the tests marked slow (minutes), in float64
+test-slow: $(VENV)/.installed ## Run the tests marked slow (minutes), and the whole suite in float32
 	HSHJAX_TEST_DTYPE=float64 $(PYTEST) -m slow $(PYTEST_ARGS)
+	HSHJAX_TEST_DTYPE=float32 $(PYTEST) $(PARALLEL) $(PYTEST_ARGS)
 
 # pyenv puts a shim on PATH even for a version that is not selected, so an interpreter counts only if it runs.
 test-matrix: ## Run `make test` on every Python of 3.11, 3.12, 3.13 that is installed

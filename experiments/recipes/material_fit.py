@@ -24,11 +24,11 @@ def run(config: Config, record: Record) -> None:
     brdf = read_rgl(local_path(config.file))
     record.paragraph(
         f"`{config.file}`: {brdf.description}. Channels {', '.join(brdf.channel_names)}. {brdf.unmeasured} entries of "
-        "the table were not measured; values near grazing are extrapolated in the file. Errors in norm E leave them out."
+        "the table were not measured; values near grazing are extrapolated in the file. Norm E leaves them out."
     )
     rows = study(record, "material", brdf, config.fit, config.pictures)
 
-    # θ = 80° is cos θ = 0.1737. Grazing angles are where tables are extrapolated, and where their two sides disagree most.
+    # θ = 80° is cos θ = 0.1737. Nearer to grazing, tables are extrapolated, and their two sides disagree most.
     rule = hshjax.isotropic_pair_rule(32)
     inside = (rule.wi[:, 2] > 0.1737) & (rule.wo[:, 2] > 0.1737)
     whole = hshjax.reciprocity_error(brdf, rule)
@@ -37,8 +37,8 @@ def run(config: Config, record: Record) -> None:
     record.metric("reciprocity violation, up to 80 degrees", part.relative, note="of the measurement")
     record.heading("What the paper claims, and what was measured")
     record.paragraph(
-        "The paper claims a compact representation of arbitrary BRDFs, better by HSH than by Zernike functions at equal "
-        f"order. {verdict('This material', rows, config.fit.norm)} The measurement itself violates reciprocity by "
+        "The paper claims a compact representation of arbitrary BRDFs, better by HSH than by Zernike functions at "
+        f"equal order. {verdict('This material', rows, config.fit.norm)} The measurement itself violates reciprocity by "
         f"{float(whole.relative):.2g} (relative, weight cos θi cos θo, all angles) and {float(part.relative):.2g} up "
         "to 80°; no reciprocal model can come nearer to it than half of that. A product basis follows a smooth "
         "material; on a sharp highlight it leaves an error that falls slowly with the order, and it rings."

@@ -66,7 +66,7 @@ NORMS: dict[str, Norm] = {
         Norm("C", "projection of ρ, judged under cos θi cos θo", "brdf", fit=0.0, judge=1.0),
         Norm("D", "projection of cos θi cos θo ρ", "foreshortened", fit=0.0, judge=2.0),
         Norm(
-            "E", "least squares under cos θi cos θo, θ <= 80°", "brdf", fit=1.0, judge=1.0, max_theta=math.radians(80)
+            "E", "least squares under cos θi cos θo up to 80°", "brdf", fit=1.0, judge=1.0, max_theta=math.radians(80)
         ),
     )
 }
