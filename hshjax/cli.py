@@ -62,16 +62,19 @@ def fit(
 
     The fit is a linear least-squares problem: there is nothing to tune but the basis, its order and the norm.
     """
-    import hshjax
+    from hshjax import bases
+    from hshjax.fitting import project, relative_error
     from hshjax.io import save_model
+    from hshjax.quadrature import isotropic_pair_rule
+    from hshjax.samples import Samples
 
     brdf, _ = _read(file)
-    family = getattr(hshjax, FAMILIES[basis])
+    family = getattr(bases, FAMILIES[basis])
     with console.status("sampling and fitting"):
-        rule = hshjax.isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
-        samples = hshjax.Samples.from_function(brdf, rule)
-        pairs = hshjax.IsotropicBasis(family(order))
-        result = hshjax.project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else "flat")
+        rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
+        samples = Samples.from_function(brdf, rule)
+        pairs = bases.IsotropicBasis(family(order))
+        result = project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else "flat")
     out = file.with_suffix(".hshjax") if out is None else out
     save_model(out, result.model)
 
@@ -79,7 +82,7 @@ def fit(
     table.add_row("coefficients", f"{result.unknowns} x {samples.channels} channels")
     table.add_row("samples", f"{result.samples} on a rule of degree {rule.degree}")
     table.add_row(f"relative error, norm {norm}", _numbers(result.relative))
-    table.add_row("relative error, norm E", _numbers(hshjax.relative_error(result.model, samples, "E")))
+    table.add_row("relative error, norm E", _numbers(relative_error(result.model, samples, "E")))
     table.add_row("condition number", f"{float(result.condition):.3g} ({result.method})")
     for name, error in (("measured", result.reciprocity_before), ("fitted", result.reciprocity_after)):
         if error is not None:
@@ -95,8 +98,7 @@ def fit(
 
 def _read(file: Path) -> tuple:
     """The BRDF of a measured file or a saved model, and what to say of it; exits with a message where it cannot."""
-    from hshjax import AbstractBRDF, LinearBRDF
-    from hshjax.brdfs import RGLTable
+    from hshjax.brdfs import AbstractBRDF, LinearBRDF, RGLTable
     from hshjax.io import load_model, read_rgl
 
     try:
@@ -128,15 +130,17 @@ def _figures(brdf) -> dict[str, str]:
     """Report figures of a BRDF, over directions up to 80 degrees where that matters."""
     import jax.numpy as jnp
 
-    import hshjax
+    from hshjax.geometry import direction
+    from hshjax.metrics import albedo, hemispherical_albedo, negativity
+    from hshjax.quadrature import hemisphere_rule, isotropic_pair_rule
 
     theta = jnp.deg2rad(jnp.asarray([0.0, 45.0, 75.0]))
-    rule = hshjax.hemisphere_rule(64)
-    albedo = hshjax.albedo(brdf, hshjax.direction(theta, jnp.zeros_like(theta)), rule)
-    negative = hshjax.negativity(brdf, hshjax.isotropic_pair_rule(32))
+    rule = hemisphere_rule(64)
+    directional = albedo(brdf, direction(theta, jnp.zeros_like(theta)), rule)
+    negative = negativity(brdf, isotropic_pair_rule(32))
     return {
-        "albedo at 0, 45, 75 degrees": "   ".join(_numbers(a) for a in albedo),
-        "hemispherical albedo": _numbers(hshjax.hemispherical_albedo(brdf, hshjax.hemisphere_rule(32))),
+        "albedo at 0, 45, 75 degrees": "   ".join(_numbers(a) for a in directional),
+        "hemispherical albedo": _numbers(hemispherical_albedo(brdf, hemisphere_rule(32))),
         "smallest value": f"{float(negative.minimum):.3g} sr^-1",
         "negative share of the energy": f"{float(negative.share):.2g}",
     }

@@ -38,7 +38,7 @@ def run(config: Config, record: Record) -> None:
     record.heading("What the paper claims, and what was measured")
     record.paragraph(
         "The paper claims a compact representation of arbitrary BRDFs, better by HSH than by Zernike functions at "
-        f"equal order. {verdict('This material', rows, config.fit.norm)} The measurement itself violates reciprocity by "
+        f"equal order. {verdict('This material', rows, config.fit.norm)} The measurement violates reciprocity by "
         f"{float(whole.relative):.2g} (relative, weight cos θi cos θo, all angles) and {float(part.relative):.2g} up "
         "to 80°; no reciprocal model can come nearer to it than half of that. A product basis follows a smooth "
         "material; on a sharp highlight it leaves an error that falls slowly with the order, and it rings."

@@ -11,14 +11,14 @@ import pytest
 
 from hshjax import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike, isotropic_pair_rule, pair_rule
 from hshjax.bases._pairs import PAIR_BLOCK
-from tests.bases.cases import ALL_BASES, ALL_PAIR_BASES, ALL_PAIRS, rows, sums
+from tests.bases.cases import ALL_BASES, ALL_PAIR_BASES, ALL_PAIRS, SOME_PAIRS, mostly_slow, rows, sums
 from tests.bases.test_laws import equations, normal
 from tests.helpers import DTYPE, X64, assert_close, directions
 
 COUNTS = Path(__file__).parents[1] / "reference" / "counts.csv"
 ORDER = 2
 
-all_pairs = pytest.mark.parametrize("name", ALL_PAIRS)
+all_pairs = pytest.mark.parametrize("name", mostly_slow(ALL_PAIRS, SOME_PAIRS))
 
 
 def make(name: str, order: int = ORDER):
@@ -118,7 +118,7 @@ def test_bilateral_is_the_default():
     assert IsotropicBasis(HSH(2)) != IsotropicBasis(HSH(2), bilateral=False)
 
 
-@pytest.mark.parametrize("name", [name for name in ALL_PAIRS if not name.startswith("tensor")])
+@pytest.mark.parametrize("name", mostly_slow([n for n in ALL_PAIRS if not n.startswith("tensor")], SOME_PAIRS))
 def test_columns_of_a_lower_order_come_first(name):
     low, wi, wo, row = sample(name)
     high = make(name, 3)
@@ -187,7 +187,7 @@ def test_isotropic_bases_are_unchanged_by_a_rotation(name):
         assert np.max(np.abs(rotated - row)) > 0.1
 
 
-@pytest.mark.parametrize("name", [name for name in ALL_PAIRS if name.startswith("isotropic")])
+@pytest.mark.parametrize("name", mostly_slow([n for n in ALL_PAIRS if n.startswith("isotropic")], SOME_PAIRS))
 def test_a_mirror_changes_the_sign_of_sines_only(name):
     pairs, wi, wo = make(name, 3), directions(0, 40), directions(1, 40)  # below order 3 Zernike has no sine
     row = np.asarray(rows(pairs, wi, wo))

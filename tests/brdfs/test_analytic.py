@@ -28,6 +28,19 @@ from tests.brdfs.cases import ALBEDO_EXCEPTIONS, ALL_BRDFS, FRESNELS, RGB
 from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
 
 each_brdf = pytest.mark.parametrize("brdf", ALL_BRDFS.values(), ids=ALL_BRDFS.keys())
+# Every formula once; the other cases, Fresnel factors and channels, differ in what is tested elsewhere by itself.
+FORMULAS = [
+    name
+    for name in ALL_BRDFS
+    if not name.endswith("rgb") and not any(name.endswith(f"_{fresnel}") for fresnel in FRESNELS)
+]
+each_formula = pytest.mark.parametrize(
+    "brdf",
+    [
+        pytest.param(brdf, id=name, marks=() if name in FORMULAS else pytest.mark.slow)
+        for name, brdf in ALL_BRDFS.items()
+    ],
+)
 each_fresnel = pytest.mark.parametrize("fresnel", FRESNELS.values(), ids=FRESNELS.keys())
 
 # The sharpest settings that the bounds allow, for the questions of finiteness.
@@ -81,7 +94,14 @@ def test_non_negative(brdf):
     assert jnp.any(brdf(wi, wo) > 0)
 
 
-@pytest.mark.parametrize("name", [name for name in ALL_BRDFS if name not in ALBEDO_EXCEPTIONS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in FORMULAS else pytest.mark.slow)
+        for name in ALL_BRDFS
+        if name not in ALBEDO_EXCEPTIONS
+    ],
+)
 def test_directional_albedo_is_at_most_one(name):
     # Degree 400 with the substitution z = v², 401 x 401 nodes: against degree 1200 the sharpest lobe of the list (slope
     # 0.25, V-cavity kinks, 86 degrees) moves by 2e-7. Beyond, its mirror lobe is narrower than the nodes.
@@ -108,7 +128,7 @@ def test_albedo_exceptions_are_as_documented():
     assert 1.045 < albedo(OrenNayar(1.0, 0.32, full=True), 1.5707) < 1.051
 
 
-@each_brdf
+@each_formula
 def test_zero_with_zero_gradient_below_the_horizon(brdf):
     up, down = unit(0.5), jnp.asarray([0.6, 0.0, -0.8], DTYPE)
     flat = jnp.asarray([1.0, 0.0, 0.0], DTYPE)
@@ -118,7 +138,7 @@ def test_zero_with_zero_gradient_below_the_horizon(brdf):
         assert all(jnp.all(leaf == 0) for leaf in gradient)
 
 
-@each_brdf
+@each_formula
 def test_shapes_batches_and_transformations(brdf):
     wi, wo = directions(4, 5, 4), directions(5, 5, 4)
     value = brdf(wi, wo)
@@ -134,7 +154,7 @@ def test_shapes_batches_and_transformations(brdf):
 
 
 @pytest.mark.skipif(not X64, reason="needs float64 to compare with")
-@each_brdf
+@each_formula
 def test_float32_agrees(brdf):
     wi, wo = directions(6, 300, min_z=0.05), directions(7, 300, min_z=0.05)
     single = brdf(wi.astype(jnp.float32), wo.astype(jnp.float32))
@@ -144,7 +164,7 @@ def test_float32_agrees(brdf):
 
 
 @pytest.mark.skipif(not X64, reason="finite differences need float64")
-@each_brdf
+@each_formula
 def test_first_derivatives_against_finite_differences(brdf):
     wi, wo = directions(8, 40, min_z=0.1), directions(9, 40, min_z=0.1)
     rng = np.random.default_rng(10)
