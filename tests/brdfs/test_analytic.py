@@ -376,6 +376,8 @@ def test_fresnel_range_shapes_and_finite_derivatives(fresnel):
     for derivative in (jax.jacfwd(fresnel), jax.jacfwd(jax.jacrev(fresnel))):
         assert jnp.all(jnp.isfinite(jax.vmap(derivative)(cosine)))
     parameters, static = eqx.partition(fresnel, eqx.is_inexact_array)
+    if not jax.tree.leaves(parameters):
+        return  # the constant factor has no parameter to differentiate, and jacrev no tree to build
     gradient = jax.jacrev(lambda p: eqx.combine(p, static)(cosine))(parameters)
     assert all(jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
@@ -404,10 +406,8 @@ def test_total_reflection_is_one_with_zero_gradient():
 @pytest.mark.parametrize("eta", [0.6, 1.0, 1.5, 2.4])
 def test_conductor_without_absorption_is_the_dielectric(eta):
     cosine = jnp.asarray(COSINES[1:], DTYPE)
-    # float32: both differ by rounding of eta² - sin², near 0 at the critical angle and for eta = 1, under a root.
-    assert_close(
-        ConductorFresnel(eta, 0.0)(cosine), DielectricFresnel(eta)(cosine), tolerance=TOLERANCE if X64 else 1e-3
-    )
+    # Both differ by rounding of eta² - sin², near 0 at the critical angle and for eta = 1, under a root: sqrt(eps).
+    assert_close(ConductorFresnel(eta, 0.0)(cosine), DielectricFresnel(eta)(cosine), tolerance=1e-7 if X64 else 1e-3)
 
 
 @pytest.mark.parametrize(("eta", "k"), [(0.2, 3.4), (1.45, 1.8), (2.9, 3.1), (1.5, 0.01)])
