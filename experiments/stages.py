@@ -1,7 +1,6 @@
 """Results of finished stages on disk: one .npz each, arrays beside a JSON tree. Reading one runs no code."""
 
 import json
-import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -10,18 +9,16 @@ from typing import Any
 import jax
 import numpy as np
 
+from hshjax.io._replace import replacing
+
 _TREE = "__tree__"
 _ARRAY = "__array__"
 
 
 def write_beside(path: Path, write: Callable[[Path], object]) -> None:
     """Calls `write` on a neighbour of `path` and renames it: at `path` lies the whole file or none."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
+    with replacing(path) as beside:
         write(beside)
-        os.replace(beside, path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

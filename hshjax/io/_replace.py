@@ -11,7 +11,7 @@ from pathlib import Path
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A fresh path beside `path` for the body to write; renamed to `path` at the end, removed if the body raises."""
     path = Path(path)
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(6)}")
+    beside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.partial")
     try:
         yield beside
         os.replace(beside, path)
