@@ -74,7 +74,7 @@ def test_scattered_samples_weigh_one_each():
 def test_other_weights_make_samples_scattered():
     rule = isotropic_pair_rule(2)
     samples = Samples.from_function(lambda wi, wo: wi, rule).reweighted(2 * rule.weight)
-    assert (samples.degree, samples.isotropic) == (None, False)
+    assert (samples.degree, samples.isotropic) == (None, True)
     assert_close(samples.weight, 2 * rule.weight)
     assert_close(samples.value, rule.wi)
 

@@ -11,7 +11,13 @@ from hshjax.brdfs._base import AbstractBRDF
 
 Target = Literal["brdf", "half_foreshortened", "foreshortened"]
 
-EXPONENTS = {"brdf": 0.0, "half_foreshortened": 0.5, "foreshortened": 1.0}
+EXPONENTS: dict[Target, float] = {"brdf": 0.0, "half_foreshortened": 0.5, "foreshortened": 1.0}
+
+
+def _known(target: str) -> Target:
+    if target not in EXPONENTS:
+        raise ValueError(f"target must be one of {', '.join(get_args(Target))}, got {target!r}")
+    return target
 
 
 class LinearBRDF(AbstractBRDF):
@@ -30,11 +36,9 @@ class LinearBRDF(AbstractBRDF):
 
     basis: AbstractPairBasis
     coefficients: Float[Array, "modes channels"] = eqx.field(converter=jnp.asarray)
-    target: Target = eqx.field(static=True, default="brdf")
+    target: Target = eqx.field(static=True, default="brdf", converter=_known)
 
     def __check_init__(self):
-        if self.target not in EXPONENTS:
-            raise ValueError(f"target must be one of {', '.join(get_args(Target))}, got {self.target!r}")
         shape = jnp.shape(self.coefficients)
         if len(shape) != 2 or shape[0] != len(self.basis.modes):
             raise ValueError(
