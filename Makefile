@@ -5,8 +5,9 @@ VENV ?= .venv
 UV_VERSION := 0.13.9
 
 PYTHON_IN_VENV := $(VENV)/bin/python
-# uv installs into this environment only, and never fetches an interpreter.
-UV := UV_PYTHON_DOWNLOADS=never UV_PYTHON=$(abspath $(PYTHON_IN_VENV)) UV_PROJECT_ENVIRONMENT=$(abspath $(VENV)) $(VENV)/bin/uv
+# uv installs into this environment only, and never fetches an interpreter. Compiled bytecode halves the start of every
+# process, where the machine does not let Python write it.
+UV := UV_COMPILE_BYTECODE=1 UV_PYTHON_DOWNLOADS=never UV_PYTHON=$(abspath $(PYTHON_IN_VENV)) UV_PROJECT_ENVIRONMENT=$(abspath $(VENV)) $(VENV)/bin/uv
 PYTEST := $(PYTHON_IN_VENV) -m pytest
 # Compilation fills the suite's time, and compiles on one core: a worker a core.
 PARALLEL := -n auto --dist worksteal

@@ -74,7 +74,7 @@ def fit(
         rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
         samples = Samples.from_function(brdf, rule)
         pairs = bases.IsotropicBasis(family(order))
-        result = project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else "flat")
+        result = project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else None)
     out = file.with_suffix(".hshjax") if out is None else out
     save_model(out, result.model)
 

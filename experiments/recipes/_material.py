@@ -126,7 +126,7 @@ def verdict(name: str, rows: dict[tuple[str, int], dict[str, Any]], norm: str) -
 
 
 def _fitted(pairs: hshjax.IsotropicBasis, samples: hshjax.Samples, fit: FitSection) -> dict[str, Any]:
-    prior = "spectral" if fit.ridge else "flat"
+    prior = "spectral" if fit.ridge else None
     result = hshjax.project(pairs, samples, norm=fit.norm, ridge=fit.ridge, prior=prior, reciprocity=False)
     value = np.asarray(result.model(samples.wi, samples.wo))
     shown = np.asarray(hshjax.NORMS["E"].judge_weight(samples.wi, samples.wo)) > 0

@@ -181,21 +181,23 @@ _rows_of_block = differentiable(_block_rows)
 _gradients_of_block = differentiable(_block_gradients)
 
 
+# Compiled once for a basis and a shape, also where a user calls without jit: the loops are new functions at every call.
+@partial(jax.jit, static_argnums=0)
 def _rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
     return blockwise(partial(_rows_of_block, basis), BLOCK, w)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
+def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
     return blockwise(partial(_block_sums, basis, True, coefficients), BLOCK, w)
 
 
-@partial(_sums.defjvp, symbolic_zeros=True)
+@partial(_differentiable_sums.defjvp, symbolic_zeros=True)
 def _(basis, primals, tangents):
     """dΣ = Y dc + (∂Σ/∂w) dw: two linear maps, whose transposes cost one product each, blocked GEMM and contraction."""
     coefficients, w = primals
     d_coefficients, d_w = tangents
-    value = _sums(basis, coefficients, w)
+    value = _differentiable_sums(basis, coefficients, w)
     tangent = jnp.zeros_like(value)
     if not isinstance(d_coefficients, SymbolicZero):
         # Recomputed, not stored, for the transpose: the rows would be the largest array of the program.
@@ -205,6 +207,9 @@ def _(basis, primals, tangents):
         gradient = blockwise(partial(_gradients_of_block, basis, coefficients), BLOCK, w)
         tangent += jnp.sum(gradient * d_w[:, None, :], axis=-1)
     return value, tangent
+
+
+_sums = jax.jit(_differentiable_sums, static_argnums=0)
 
 
 def matmul(a: Array, b: Array) -> Array:

@@ -4,15 +4,15 @@ from functools import lru_cache
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
-from hshjax._special import RadialTables, jacobi_matrix, radial_tables
+from hshjax._special import RadialTables, jacobi_matrix
 from hshjax._typing import Array, Float
-from hshjax.bases._base import AbstractBasis, Chart, checked_order
+from hshjax.bases._base import Chart, checked_order
+from hshjax.bases._triangle import AbstractTriangle, triangle_tables
 from hshjax.geometry import upper
 
 
-class HSH(AbstractBasis):
+class HSH(AbstractTriangle):
     """Hemispherical harmonics H_n^m, |m| <= n <= order: (order + 1)² functions.
 
         H_n^{±m} = sqrt2 K_n^m p_n^m(t) Re|Im(s^m),   t = 2z - 1,   s = 2 sqrt(z / (1 + z)) (x + i y)
@@ -28,13 +28,6 @@ class HSH(AbstractBasis):
 
     order: int = eqx.field(static=True, converter=checked_order)
 
-    @property
-    def modes(self) -> tuple[tuple[int, int], ...]:
-        return full_triangle(self.order)
-
-    def radial_index(self, n: int, m: int) -> int:
-        return n - abs(m)
-
     def tables(self) -> RadialTables:
         return _tables(self.order)
 
@@ -47,20 +40,7 @@ class HSH(AbstractBasis):
         return Chart(2 * z - 1, (square * (x * x - y * y), square * 2 * x * y), (root * x, root * y))
 
 
-def full_triangle(order: int) -> tuple[tuple[int, int], ...]:
-    """(n, m) for all |m| <= n <= order."""
-    return tuple((n, m) for n in range(order + 1) for m in range(-n, n + 1))
-
-
-def sine_power_integral(m: int) -> float:
-    """∫_0^1 (1 - t²)^m dt = Π_{k<=m} 2k / (2k + 1): a product of ratios, where factorials would overflow."""
-    return float(np.prod([2 * k / (2 * k + 1) for k in range(1, m + 1)]))
-
-
 @lru_cache
 def _tables(order: int) -> RadialTables:
-    # Weight (1 - t²)^m on [-1, 1], dω = dt/2 dφ; the azimuth integrates to π (2π at m = 0).
-    def first_norm(m):
-        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * sine_power_integral(m))
-
-    return radial_tables([order - m + 1 for m in range(order + 1)], first_norm, lambda m, n: jacobi_matrix(m, m, n))
+    # dω = dz dφ = dt/2 dφ: the mass of [-1, 1] under dt/2 is 1.
+    return triangle_tables(order, 1.0, lambda m, size: jacobi_matrix(m, m, size))

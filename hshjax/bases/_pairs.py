@@ -67,7 +67,7 @@ class AbstractPairBasis(eqx.Module):
     def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
         """The design row `(*batch, modes)`. `evaluate` is faster wherever only Σ c_k B_k is needed."""
         wi, wo, batch = flat_pairs(wi, wo)
-        return blockwise(jax.checkpoint(self.block_rows), PAIR_BLOCK, wi, wo).reshape(*batch, len(self.modes))
+        return _rows(self, wi, wo).reshape(*batch, len(self.modes))
 
     def evaluate(
         self, coefficients: Float[Array, "modes ..."], wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]
@@ -80,9 +80,21 @@ class AbstractPairBasis(eqx.Module):
         check_modes(self, coefficients)
         wi, wo, batch = flat_pairs(wi, wo)
         channels = coefficients.shape[1:]
-        # Recomputed, not stored, in reverse: what a block keeps for its derivative is larger than what it returns.
-        sums = jax.checkpoint(partial(self.block_sums, coefficients.reshape(coefficients.shape[0], -1)))
-        return blockwise(sums, PAIR_BLOCK, wi, wo).reshape(*batch, *channels)
+        return _sums(self, coefficients.reshape(len(self.modes), -1), wi, wo).reshape(*batch, *channels)
+
+
+# Compiled once for a basis and a shape, as in hshjax/bases/_base.py. The blocks are recomputed, not stored, in reverse:
+# what one keeps for its derivative is larger than what it returns.
+
+
+@partial(jax.jit, static_argnums=0)
+def _rows(pairs: AbstractPairBasis, wi: Array, wo: Array) -> Array:
+    return blockwise(jax.checkpoint(pairs.block_rows), PAIR_BLOCK, wi, wo)
+
+
+@partial(jax.jit, static_argnums=0)
+def _sums(pairs: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
+    return blockwise(jax.checkpoint(partial(pairs.block_sums, coefficients)), PAIR_BLOCK, wi, wo)
 
 
 class TensorBasis(AbstractPairBasis):

@@ -5,14 +5,14 @@ from functools import lru_cache
 import equinox as eqx
 import numpy as np
 
-from hshjax._special import RadialTables, radial_tables, stieltjes_matrix
+from hshjax._special import RadialTables, stieltjes_matrix
 from hshjax._typing import Array, Float
-from hshjax.bases._base import AbstractBasis, Chart, checked_order
-from hshjax.bases._hsh import full_triangle, sine_power_integral
+from hshjax.bases._base import Chart, checked_order
+from hshjax.bases._triangle import AbstractTriangle, triangle_tables
 from hshjax.geometry import upper
 
 
-class SHR(AbstractBasis):
+class SHR(AbstractTriangle):
     """Spherical harmonics of degree <= order, restricted to the hemisphere and orthonormalised: (order + 1)² functions.
 
         S_n^{±m} = p_{n-m}^m(z) Re|Im((x + i y)^m),   p^m orthonormal for (1 - z²)^m on [0, 1]
@@ -23,13 +23,6 @@ class SHR(AbstractBasis):
     """
 
     order: int = eqx.field(static=True, converter=checked_order)
-
-    @property
-    def modes(self) -> tuple[tuple[int, int], ...]:
-        return full_triangle(self.order)
-
-    def radial_index(self, n: int, m: int) -> int:
-        return n - abs(m)
 
     def tables(self) -> RadialTables:
         return _tables(self.order)
@@ -45,11 +38,4 @@ def _tables(order: int) -> RadialTables:
     nodes, weights = np.polynomial.legendre.leggauss(order + 2)
     nodes, weights = (nodes + 1) / 2, weights / 2
 
-    def first_norm(m):
-        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * sine_power_integral(m))
-
-    return radial_tables(
-        [order - m + 1 for m in range(order + 1)],
-        first_norm,
-        lambda m, n: stieltjes_matrix(nodes, weights * (1 - nodes**2) ** m, n),
-    )
+    return triangle_tables(order, 1.0, lambda m, size: stieltjes_matrix(nodes, weights * (1 - nodes**2) ** m, size))

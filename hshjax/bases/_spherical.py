@@ -3,15 +3,14 @@
 from functools import lru_cache
 
 import equinox as eqx
-import numpy as np
 
-from hshjax._special import RadialTables, jacobi_matrix, radial_tables
+from hshjax._special import RadialTables, jacobi_matrix
 from hshjax._typing import Array, Float
-from hshjax.bases._base import AbstractBasis, Chart, checked_order
-from hshjax.bases._hsh import full_triangle, sine_power_integral
+from hshjax.bases._base import Chart, checked_order
+from hshjax.bases._triangle import AbstractTriangle, triangle_tables
 
 
-class SphericalHarmonics(AbstractBasis):
+class SphericalHarmonics(AbstractTriangle):
     """Real spherical harmonics Y_n^m, |m| <= n <= order, without Condon-Shortley sign: (order + 1)² functions.
 
     Orthonormal over the SPHERE, unlike every other basis here, and evaluated below the horizon as well. A function on
@@ -19,13 +18,6 @@ class SphericalHarmonics(AbstractBasis):
     """
 
     order: int = eqx.field(static=True, converter=checked_order)
-
-    @property
-    def modes(self) -> tuple[tuple[int, int], ...]:
-        return full_triangle(self.order)
-
-    def radial_index(self, n: int, m: int) -> int:
-        return n - abs(m)
 
     def tables(self) -> RadialTables:
         return _tables(self.order)
@@ -37,7 +29,4 @@ class SphericalHarmonics(AbstractBasis):
 
 @lru_cache
 def _tables(order: int) -> RadialTables:
-    def first_norm(m):
-        return 1 / np.sqrt((2 * np.pi if m == 0 else np.pi) * 2 * sine_power_integral(m))
-
-    return radial_tables([order - m + 1 for m in range(order + 1)], first_norm, lambda m, n: jacobi_matrix(m, m, n))
+    return triangle_tables(order, 2.0, lambda m, size: jacobi_matrix(m, m, size))

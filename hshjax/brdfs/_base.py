@@ -38,14 +38,7 @@ class AbstractBRDF(eqx.Module):
         """The BRDF [sr^-1] at directions of equal shape strictly above the horizon."""
 
     def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
-        wi, wo = jnp.asarray(wi), jnp.asarray(wo)
-        shape = jnp.broadcast_shapes(wi.shape, wo.shape)
-        wi, wo = jnp.broadcast_to(wi, shape), jnp.broadcast_to(wo, shape)
-        above = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
-        # Directions below are replaced before the formula sees them: a masked infinity would still poison the gradient.
-        pole = jnp.zeros(shape, wi.dtype).at[..., 2].set(1)
-        value = in_dtype(self, wi.dtype).formula(jnp.where(above, wi, pole), jnp.where(above, wo, pole))
-        return jnp.where(above, value, jnp.zeros_like(value))
+        return _above_the_horizon(self, jnp.asarray(wi), jnp.asarray(wo))
 
     def __add__(self, other: "AbstractBRDF") -> "SumBRDF":
         if not isinstance(other, AbstractBRDF):
@@ -58,6 +51,17 @@ class AbstractBRDF(eqx.Module):
         return ScaledBRDF(self, jnp.asarray(scale))
 
     __rmul__ = __mul__
+
+
+@eqx.filter_jit  # a call without jit is one compiled program too, not some dozens of them
+def _above_the_horizon(brdf: AbstractBRDF, wi: Array, wo: Array) -> Array:
+    shape = jnp.broadcast_shapes(wi.shape, wo.shape)
+    wi, wo = jnp.broadcast_to(wi, shape), jnp.broadcast_to(wo, shape)
+    above = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
+    # Directions below are replaced before the formula sees them: a masked infinity would still poison the gradient.
+    pole = jnp.zeros(shape, wi.dtype).at[..., 2].set(1)
+    value = in_dtype(brdf, wi.dtype).formula(jnp.where(above, wi, pole), jnp.where(above, wo, pole))
+    return jnp.where(above, value, jnp.zeros_like(value))
 
 
 class SumBRDF(AbstractBRDF):

@@ -1,5 +1,8 @@
 """What `project` refuses, and how it says so."""
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -10,38 +13,53 @@ from hshjax.samples import Samples
 
 def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) -> None:
     """ValueError, naming a count and a remedy, for samples that no fit can use."""
-    weight = samples.weight
-    bad_weight = int(jnp.sum(~jnp.isfinite(weight) | (weight < 0)))
-    if bad_weight:
-        raise ValueError(f"{bad_weight} of {samples.size} weights are negative or not finite")
-    used = weight > 0
-    usable = int(jnp.sum(used))
+    bad_weights, usable, inside, faults = jax.device_get(_survey(samples, norm))
+    if bad_weights:
+        raise ValueError(f"{bad_weights} of {samples.size} weights are negative or not finite")
     if usable == 0:
         raise ValueError(f"no sample to fit: all of the {samples.size} samples have weight 0")
-
-    def refuse(bad: Array, what: str) -> None:
-        count = int(jnp.sum(bad & used))
+    for what, (count, first) in zip(FAULTS, faults, strict=True):
         if count:
-            first = int(jnp.argmax(bad & used))
             raise ValueError(
                 f"{count} of {usable} samples with a positive weight {what} (the first is sample {first}); "
                 "mask them with weight 0"
             )
-
-    directions = jnp.concatenate([samples.wi, samples.wo], axis=1)
-    refuse(~jnp.all(jnp.isfinite(samples.value), axis=1), "hold NaN or infinite values")
-    refuse(~jnp.all(jnp.isfinite(directions), axis=1), "hold NaN or infinite directions")
-    # Looser than any rounding, tighter than any angle that was forgotten to be converted.
-    lengths = jnp.stack([jnp.linalg.norm(w, axis=1) for w in (samples.wi, samples.wo)])
-    refuse(jnp.any(jnp.abs(lengths - 1) > 1e-3, axis=0), "have directions that are not of unit length")
-    refuse((samples.wi[:, 2] < 0) | (samples.wo[:, 2] < 0), "have a direction below the horizon (z < 0)")
-
-    inside = int(jnp.sum(used & (norm.judge_weight(samples.wi, samples.wo) > 0)))
     if inside < unknowns and not ridged:
         raise ValueError(
             f"{inside} samples count in norm {norm.name}, but there are {unknowns} unknowns: "
             "lower the order, add samples, or give a ridge > 0"
         )
+
+
+FAULTS = (
+    "hold NaN or infinite values",
+    "hold NaN or infinite directions",
+    "have directions that are not of unit length",
+    "have a direction below the horizon (z < 0)",
+)
+
+
+@partial(jax.jit, static_argnums=1)  # one program, where each of its operations would be compiled by itself
+def _survey(samples: Samples, norm: Norm) -> tuple[Array, Array, Array, list[tuple[Array, Array]]]:
+    """Weights that are none, usable samples, those of them that the norm sees, and (count, first) of every fault."""
+    weight = samples.weight
+    used = weight > 0
+    directions = jnp.concatenate([samples.wi, samples.wo], axis=1)
+    lengths = jnp.stack([jnp.linalg.norm(w, axis=1) for w in (samples.wi, samples.wo)])
+    faults = (
+        ~jnp.all(jnp.isfinite(samples.value), axis=1),
+        ~jnp.all(jnp.isfinite(directions), axis=1),
+        # Looser than any rounding, tighter than any angle that was forgotten to be converted.
+        jnp.any(jnp.abs(lengths - 1) > 1e-3, axis=0),
+        (samples.wi[:, 2] < 0) | (samples.wo[:, 2] < 0),
+    )
+    return (
+        jnp.sum(~jnp.isfinite(weight) | (weight < 0)),
+        jnp.sum(used),
+        jnp.sum(used & (norm.judge_weight(samples.wi, samples.wo) > 0)),
+        # A sentinel lets argmax find something among no samples at all.
+        [(jnp.sum(fault & used), jnp.argmax(jnp.append(fault & used, True))) for fault in faults],
+    )
 
 
 def check_determined(condition: Array, unknowns: int, *, ridged: bool) -> None:

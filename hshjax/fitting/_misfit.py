@@ -1,6 +1,7 @@
 """How far a BRDF is from samples, in a named norm."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction
@@ -19,6 +20,7 @@ def relative_error(brdf: PairFunction, samples: Samples, norm: str = "D") -> Flo
     return ratio(error, size)
 
 
+@jax.jit
 def ratio(error: Float[Array, " channels"], size: Float[Array, " channels"]) -> Float[Array, " channels"]:
     """error / size, and 0 for a black channel that is met exactly."""
     return jnp.where(error == 0, 0, error / jnp.where(error == 0, 1, size))

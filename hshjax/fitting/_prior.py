@@ -8,24 +8,26 @@ import numpy as np
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 
-Prior = Literal["flat", "spectral"] | Float[Array, " modes"] | np.ndarray
+Prior = Literal["spectral"] | Float[Array, " modes"] | np.ndarray
 
 
-def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior) -> Float[Array, " modes"] | None:
+def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior | None) -> Float[Array, " modes"] | None:
     """The diagonal of Γ = ridge x prior, or None for no penalty at all.
 
-    "flat" is 1; "spectral" is (n(n+1) + p(p+1))², the squared Laplacian of a function of order n in one direction and
-    p in the other: 0 for the constant, growing with the fourth power of the order.
+    None is 1 for every mode; "spectral" is (n(n+1) + p(p+1))², the squared Laplacian of a function of order n in one
+    direction and p in the other: 0 for the constant, growing with the fourth power of the order.
 
     **Raises:** ValueError for a negative ridge, a prior of the wrong shape or sign, or a prior that a ridge of 0 mutes.
     """
     if not ridge >= 0:
         raise ValueError(f"ridge must be >= 0, got {ridge}")
-    if isinstance(prior, str):
-        if prior not in ("flat", "spectral"):
-            raise ValueError(f'prior must be "flat", "spectral" or an array (modes,), got {prior!r}')
+    if prior is None:
+        diagonal = np.ones(len(basis.modes))
+    elif isinstance(prior, str):
+        if prior != "spectral":
+            raise ValueError(f'prior must be None, "spectral" or an array (modes,), got {prior!r}')
         orders = np.asarray(basis.degrees(), np.float64)
-        diagonal = np.ones(len(orders)) if prior == "flat" else np.sum(orders * (orders + 1), axis=1) ** 2
+        diagonal = np.sum(orders * (orders + 1), axis=1) ** 2
     else:
         diagonal = np.asarray(prior, np.float64)
         if diagonal.shape != (len(basis.modes),) or not np.all(diagonal >= 0):
@@ -33,7 +35,7 @@ def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior) -> Float[Array
                 f"prior must hold one number >= 0 for each of the {len(basis.modes)} modes, got shape {diagonal.shape}"
             )
     if ridge == 0:
-        if not (isinstance(prior, str) and prior == "flat"):
+        if prior is not None:
             raise ValueError("a prior acts through its ridge: give ridge > 0 with it")
         return None
     return jnp.asarray(ridge * diagonal)

@@ -42,7 +42,7 @@ def project(
     *,
     norm: str = "D",
     ridge: float = 0.0,
-    prior: Prior = "flat",
+    prior: Prior | None = None,
     covariance: bool = False,
     reciprocity: bool | None = None,
 ) -> Fit[LinearBRDF]:
@@ -55,9 +55,10 @@ def project(
       [sr²] or confidences, and enter as they are.
     - `norm`: "A" ... "E": what is minimised, and in which norm the residual is reported; see `NORMS`. The default "D"
       fits z_i z_o ρ.
-    - `ridge`, `prior`: Γ = ridge x diag(prior). "flat" is 1; "spectral" is (n(n+1) + p(p+1))², which leaves the
-      constant free and damps fine detail; an array `(modes,)` >= 0 is taken as it is. Scattered data never cover the
-      grazing band: a small spectral ridge keeps the unseen directions tame. Γ is not scaled by the number of samples.
+    - `ridge`, `prior`: Γ = ridge x diag(prior). None is 1 throughout; "spectral" is (n(n+1) + p(p+1))², which leaves
+      the constant free and damps fine detail; an array `(modes,)` >= 0 is taken as it is. Scattered data never cover
+      the grazing band: a small spectral ridge keeps the unseen directions tame. Γ is not scaled by the number of
+      samples.
     - `covariance`: also the posterior covariance of the coefficients.
     - `reciprocity`: also the violation of reciprocity in the data (a search among all samples, on the host) and in the
       model. By default up to 200 000 samples, where it takes under a second.

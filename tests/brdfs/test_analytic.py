@@ -211,7 +211,7 @@ def test_second_derivatives_are_finite_at_degenerate_pairs(name):
 
     pairs = {(where, z): pair for z in (1e-3, 1e-6) for where, pair in degenerate_pairs(z).items()}
     points = jnp.stack([point(wi, wo) for wi, wo in pairs.values()])
-    derivatives = (jax.vmap(f)(points) for f in (value, jax.jacfwd(value), jax.jit(jax.hessian(value))))
+    derivatives = (jax.jit(jax.vmap(f))(points) for f in (value, jax.jacfwd(value), jax.hessian(value)))
     for order, derivative in enumerate(derivatives):
         for (where, z), entry in zip(pairs, derivative, strict=True):
             if not X64 and z < 1e-5 and order == 2 and name in SHARP_BRDFS:
@@ -374,11 +374,11 @@ def test_fresnel_range_shapes_and_finite_derivatives(fresnel):
     assert jnp.all((value >= 0) & (value <= 1 + 10 * jnp.finfo(DTYPE).eps))
     assert fresnel(cosine[0]).shape == value.shape[-1:]
     for derivative in (jax.jacfwd(fresnel), jax.jacfwd(jax.jacrev(fresnel))):
-        assert jnp.all(jnp.isfinite(jax.vmap(derivative)(cosine)))
+        assert jnp.all(jnp.isfinite(jax.jit(jax.vmap(derivative))(cosine)))
     parameters, static = eqx.partition(fresnel, eqx.is_inexact_array)
     if not jax.tree.leaves(parameters):
         return  # the constant factor has no parameter to differentiate, and jacrev no tree to build
-    gradient = jax.jacrev(lambda p: eqx.combine(p, static)(cosine))(parameters)
+    gradient = jax.jit(jax.jacrev(lambda p: eqx.combine(p, static)(cosine)))(parameters)
     assert all(jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 

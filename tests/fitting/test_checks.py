@@ -114,5 +114,5 @@ def test_an_unknown_prior_is_refused():
     from hshjax.fitting._prior import penalty
 
     # Past the run-time check of the annotation, which speaks first while the tests run.
-    with pytest.raises(ValueError, match=r'must be "flat", "spectral" or an array \(modes,\), got \'smooth\''):
+    with pytest.raises(ValueError, match=r'must be None, "spectral" or an array \(modes,\), got \'smooth\''):
         getattr(penalty, "__wrapped__", penalty)(BASIS, 1.0, "smooth")

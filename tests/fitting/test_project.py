@@ -29,14 +29,14 @@ N = 900
 """Scattered samples: so many that the design is well determined, in one shape, so that little is compiled."""
 
 each_norm = pytest.mark.parametrize("norm", NORMS)
-# Every norm once and every basis twice; the other combinations cost a compilation each and run in `make test-slow`.
+# Every norm and every basis; the other combinations cost a compilation each and run in `make test-slow`.
 each_norm_and_basis = pytest.mark.parametrize(
     ("basis", "norm"),
     [
         pytest.param(basis, norm, id=f"{name}-{norm}", marks=() if kept else pytest.mark.slow)
         for name, basis in BASES.items()
         for norm in NORMS
-        for kept in [norm in ("A", "D") or name == "helmholtz"]
+        for kept in [norm == "A" or name == "isotropic"]
     ],
 )
 
@@ -145,7 +145,7 @@ def test_isotropic_nodes_do_not_determine_a_basis_that_is_not():
 def gamma_of(basis, prior, ridge):
     orders = np.array([[a[0], b[0]] for a, b in basis.modes], float)
     diagonal = {
-        "flat": np.ones(len(orders)),
+        None: np.ones(len(orders)),
         "spectral": (orders[:, 0] * (orders[:, 0] + 1) + orders[:, 1] * (orders[:, 1] + 1)) ** 2,
         "array": np.linspace(0, 3, len(orders)),
     }[prior]
@@ -153,7 +153,7 @@ def gamma_of(basis, prior, ridge):
 
 
 @pytest.mark.parametrize("norm", ["A", "D"])
-@pytest.mark.parametrize("prior", ["flat", "spectral", "array"])
+@pytest.mark.parametrize("prior", [None, "spectral", "array"])
 def test_penalties_are_rows_below_the_design(prior, norm):
     gamma, asked = gamma_of(SMALL, prior, 3.0)
     samples = scattered(SMALL, norm)
@@ -166,7 +166,7 @@ def test_penalties_are_rows_below_the_design(prior, norm):
 
 @pytest.mark.parametrize("n", [1, 12])
 def test_fewer_samples_than_unknowns_with_a_ridge(n):
-    gamma, _ = gamma_of(SMALL, "flat", 0.1)
+    gamma, _ = gamma_of(SMALL, None, 0.1)
     samples = scattered(SMALL, "D", n)
     fit = project(SMALL, samples, ridge=0.1, reciprocity=False)
     assert_coefficients(fit, oracle.least_squares(SMALL, samples, "D", gamma))
@@ -224,7 +224,9 @@ def test_weights_count_repetitions():
     assert_close(weighted.relative[2], counted.relative[2], tolerance=max(TOLERANCE, 1e3 * EPS))
 
 
-@pytest.mark.parametrize("n", [4095, 4096, 4097, 8192, 10_000])
+@pytest.mark.parametrize(
+    "n", [pytest.param(4095, marks=pytest.mark.slow), 4096, 4097, pytest.param(8192, marks=pytest.mark.slow), 10_000]
+)
 def test_any_number_of_samples_around_the_block(n):
     basis = IsotropicBasis(HSH(1))
     samples = scattered(basis, "A", n)

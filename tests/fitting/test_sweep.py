@@ -47,8 +47,14 @@ def tables():
     }
 
 
-@pytest.mark.parametrize("norm", NORMS)
-@pytest.mark.parametrize("family", [HSH, Zernike, SHR])
+@pytest.mark.parametrize(
+    ("family", "norm"),
+    [
+        pytest.param(family, norm, marks=() if family is HSH or norm == "A" else pytest.mark.slow)
+        for family in (HSH, Zernike, SHR)
+        for norm in NORMS
+    ],
+)
 def test_every_order_is_that_of_project(family, norm, tables):
     max_theta = NORMS[norm].max_theta
     errors = order_sweep(family(ORDER), tables[max_theta], norm)
