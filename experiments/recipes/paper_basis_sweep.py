@@ -141,11 +141,9 @@ def run(config: Config, record: Record) -> None:
     record.heading("All errors")
     record.paragraph(
         "`SH` are spherical harmonics fitted to the BRDF extended by zero below the horizon, the paper's opponent. In "
-        "the "
-        "least-squares norms A and E no extension enters: there SH span the same functions as `SHR`, spherical "
-        "harmonics "
-        "orthonormalised on the hemisphere, and the two columns agree to rounding. The file `table.csv` holds every "
-        "error."
+        "the least-squares norms A and E no extension enters: there SH span the same functions as `SHR`, spherical "
+        "harmonics orthonormalised on the hemisphere, and the two columns agree to rounding. The file `table.csv` "
+        "holds every error."
     )
     rows = [
         {
@@ -219,16 +217,12 @@ def _conclude(record: Record, config: Config, verdicts: list[dict[str, Any]]) ->
     ]
     record.paragraph(
         "The paper says that for a given order its HSH basis approximates better than Koenderink's Zernike basis, and "
-        "shows "
-        f"a slice of Cook-Torrance. Over {len(verdicts)} combinations of surface and metric and the orders 1 to "
+        f"shows a slice of Cook-Torrance. Over {len(verdicts)} combinations of surface and metric and the orders 1 to "
         f"{config.order}, HSH has the smaller error in {wins['order']} of {total} comparisons at equal order and in "
         f"{wins['count']} of {total} at an equal number of coefficients. At equal order HSH wins at every one of "
-        "these orders "
-        f"for: {'; '.join(everywhere) or 'nothing'}. It loses somewhere for: {'; '.join(lost) or 'nothing'}. But an "
-        "order of "
-        "HSH has about twice as many functions as one of Zernike on a slice, and about four times as many in a full "
-        "fit, so "
-        "that equal order compares models of unequal size."
+        f"these orders for: {'; '.join(everywhere) or 'nothing'}. It loses somewhere for: "
+        f"{'; '.join(lost) or 'nothing'}. But an order of HSH has about twice as many functions as one of Zernike on "
+        "a slice, and about four times as many in a full fit, so that equal order compares models of unequal size."
     )
     record.paragraph(
         "On the paper's own ground, the slice, HSH wins at equal order for "

@@ -70,22 +70,17 @@ def run(config: Config, record: Record) -> None:
     top = max(config.orders)
     said = "; ".join(
         f"{work}: {ratio(work, top, 'Zernike, equal order'):.2f} at equal order, "
-        f"{ratio(work, top, 'Zernike, equal count'):.2f} "
-        "at equal count"
+        f"{ratio(work, top, 'Zernike, equal count'):.2f} at equal count"
         for work in WORKS
     )
     record.paragraph(
         "The paper says that HSH avoids the high computational complexity of Zernike polynomials. That holds against "
-        "the "
-        "factorial sum for the radial polynomials, whose cost grows with the order for each of them; by three-term "
-        "recurrences "
-        "both bases take one step a function, and what counts is the number of functions. Time of Zernike over time "
-        "of HSH "
-        f"at HSH order {top}, medians of {config.repeats} interleaved repeats: {said}. Below 1, Zernike is the faster "
-        "one. "
-        f"Machine: {machine['processor']}, {machine['cores']} cores, {machine['device']}, load "
-        f"{machine['load at the end'][0]} "
-        "when the run ended; on a shared machine differences of some ten per cent mean nothing."
+        "the factorial sum for the radial polynomials, whose cost grows with the order for each of them; by three-term "
+        "recurrences both bases take one step a function, and what counts is the number of functions. "
+        f"Time of Zernike over that of HSH at HSH order {top}, medians of {config.repeats} in turn: {said}. "
+        f"Below 1, Zernike is the faster one. Machine: {machine['processor']}, {machine['cores']} cores, "
+        f"{machine['device']}, load {machine['load at the end'][0]} when the run ended; on a shared machine "
+        "differences of some ten per cent mean nothing."
     )
     record.figure("times", _draw(config, rows), "Median time of one direction or pair against the order of HSH.")
     record.table("times", rows, f"{config.points} points a call, {config.dtype}; all repeats are in `times.json`.")

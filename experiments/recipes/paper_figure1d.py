@@ -45,17 +45,12 @@ def run(config: Config, record: Record) -> None:
     record.paragraph(
         f"Figure 1(d) of the paper shows its basis (Eq. 2) up to order {config.order} at the incident direction "
         f"({config.theta_i:g}°, {config.phi_i:g}°). Here are all {len(pairs.modes)} functions of that order over "
-        "unordered pairs, "
-        "with N = 1/sqrt(2 (1 + δ)): the paper leaves the factor open and its series runs over ordered pairs, which "
-        "would show "
-        f"every function off the diagonal twice. {vanishing} of them vanish identically at this direction, because "
-        "both of "
-        "their factors do: sines in the azimuth at φi = 0, and at z = 1/2, the paper's angle, also every factor that "
-        "is odd in "
-        "2z − 1. That is a property of the direction, not of the basis. The radius is "
-        f"the modulus, all pictures share one scale (the largest value is {largest.max():.4g} sr⁻¹), orange is "
-        "positive and blue "
-        "negative, and the green line points to the light."
+        "unordered pairs, with N = 1/sqrt(2 (1 + δ)): the paper leaves the factor open and its series runs over "
+        f"ordered pairs, which would show every function off the diagonal twice. {vanishing} of them vanish "
+        "identically at this direction, because both of their factors do: sines in the azimuth at φi = 0, and at z = "
+        "1/2, the paper's angle, also every factor that is odd in 2z − 1. That is a property of the direction, not of "
+        "the basis. The radius is the modulus, all pictures share one scale (the largest value is "
+        f"{largest.max():.4g} sr⁻¹), orange is positive and blue negative, and the green line points to the light."
     )
     labels = {
         k: f"({a[0]},{a[1]})×({b[0]},{b[1]})".replace("-", "\N{MINUS SIGN}") for k, (a, b) in enumerate(pairs.modes)

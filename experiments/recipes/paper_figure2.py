@@ -74,15 +74,12 @@ def run(config: Config, record: Record) -> None:
     record.paragraph(
         f"The paper fits both bases to the lobe seen at θi = {config.theta_i:g}° (rho_s = {config.specular:g}, m = "
         f"{config.slope:g}) and states that HSH fits better at lower orders. Here both are projections for dω of the "
-        "slice "
-        f"wo → ρ(wi, wo). HSH has the smaller error on the hemisphere at {len(better)} of the {len(config.orders)} "
-        "orders "
-        f"shown; at order {last} it is {errors['HSH'][0][last]:.3f} against {errors['Zernike'][0][last]:.3f}. The "
-        "claim is "
-        f"about orders: at order {last} HSH spends {count} coefficients on this slice and Zernike "
-        f"{bilateral_count(Zernike(last))}; the comparison at equal number is in the study `paper_basis_sweep`. "
-        "Neither basis "
-        "keeps the fit positive: the lobes that turn up beside the highlight are drawn as they are, through the origin."
+        f"slice wo → ρ(wi, wo). HSH has the smaller error on the hemisphere at {len(better)} of the "
+        f"{len(config.orders)} orders shown; at order {last} it is {errors['HSH'][0][last]:.3f} against "
+        f"{errors['Zernike'][0][last]:.3f}. The claim is about orders: at order {last} HSH spends {count} "
+        f"coefficients on this slice and Zernike {bilateral_count(Zernike(last))}; the comparison at equal number is "
+        "in the study `paper_basis_sweep`. Neither basis keeps the fit positive: the lobes that turn up beside the "
+        "highlight are drawn as they are, through the origin."
     )
     record.figure("figure 2", _draw(config, theta, truth, fits, errors), _CAPTION)
     record.table("errors", rows, "Relative L2 errors of the slice: hemisphere for dω, incident plane for dθ up to 90°.")
@@ -93,9 +90,8 @@ def run(config: Config, record: Record) -> None:
 
 _CAPTION = (
     "The incident plane: BRDF over its true peak, as radius. Solid green: truth; dashed red: HSH; dash-dotted blue: "
-    "Zernike; "
-    "dashed orange: direction of the light. Negative values of a fit are drawn below the horizon, opposite their "
-    "direction."
+    "Zernike; dashed orange: direction of the light. Negative values of a fit are drawn below the horizon, opposite "
+    "their direction."
 )
 
 

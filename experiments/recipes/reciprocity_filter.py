@@ -56,8 +56,7 @@ def run(config: Config, record: Record) -> None:
     record.figure(
         "noise", _draw_noise(config, rows),
         "Distance to the truth after the fit against the size of the noise, half of its energy antireciprocal. "
-        "Dashed: before "
-        "the fit.",
+        "Dashed: before the fit.",
     )  # fmt: skip
     record.table("noise", rows, "Everything relative to the truth, in norm D. after² = approximation² + noise kept².")
     if found:
@@ -65,8 +64,7 @@ def run(config: Config, record: Record) -> None:
         record.figure(
             "measured", _draw_measured(found),
             "Change of a measurement by its reciprocal fit, and the part of it that is the filter (dashed, the same "
-            "at every "
-            "order); the rest is approximation error.",
+            "at every order); the rest is approximation error.",
         )  # fmt: skip
         record.table(
             "measured", found,
@@ -195,24 +193,17 @@ def _conclude_noise(record: Record, config: Config, rows: list[dict[str, Any]]) 
     worse = [row for row in reciprocal if row["distance after"] > row["distance before"]]
     record.paragraph(
         "The paper states that measurements which violate Helmholtz reciprocity are filtered by projecting them on "
-        "its basis. "
-        "That is so by construction: with added noise, the violation of the fits in the reciprocal bases is at most "
-        f"{worst:.1e} "
-        f"of their norm, where it was up to {max(row['violation before'] for row in reciprocal):.2f} in the samples; "
-        "purely "
-        f"antireciprocal noise is removed to a share of {passed:.1e}. The control, all products of HSH without "
-        "symmetry, keeps "
-        f"violations of up to {max(row['violation after'] for row in control):.2e}. Reciprocity is the smaller part "
-        "of the "
+        "its basis. That is so by construction: with added noise, the violation of the fits in the reciprocal bases "
+        f"is at most {worst:.1e} of their norm, where it was up to "
+        f"{max(row['violation before'] for row in reciprocal):.2f} in the samples; purely antireciprocal noise is "
+        f"removed to a share of {passed:.1e}. The control, all products of HSH without symmetry, keeps violations of "
+        f"up to {max(row['violation after'] for row in control):.2e}. Reciprocity is the smaller part of the "
         "denoising, though: any basis of low order rejects most white noise. Of noise with equal reciprocal and "
-        "antireciprocal "
-        f"energy the control keeps {kept['tensor (control)']:.1%} in norm, the Helmholtz basis "
-        f"{kept['Helmholtz']:.1%} and the "
-        f"isotropic one {kept['isotropic']:.1%}. And a filter is also an approximation: in {len(worse)} of "
-        f"{len(reciprocal)} "
-        "cases the fit is further from the truth than the noisy samples were, because the basis cannot say the "
-        "surface at this "
-        "order, above all the highlight of Cook-Torrance."
+        f"antireciprocal energy the control keeps {kept['tensor (control)']:.1%} in norm, the Helmholtz basis "
+        f"{kept['Helmholtz']:.1%} and the isotropic one {kept['isotropic']:.1%}. And a filter is also an "
+        f"approximation: in {len(worse)} of {len(reciprocal)} cases the fit is further from the truth than the noisy "
+        "samples were, because the basis cannot say the surface at this order, above all the highlight of "
+        "Cook-Torrance."
     )
     record.metric("violation after, reciprocal bases", worst, note="largest, relative, norm D")
     record.metric("violation after, control", max(row["violation after"] for row in control))
@@ -230,8 +221,7 @@ def _conclude_measured(record: Record, config: Config, found: list[dict[str, Any
         )
         record.paragraph(
             f"**The measured materials were left out: {why}.** Nothing is said here about measured data. With the "
-            "data in "
-            "place, the same command with `--force` includes them."
+            "data in place, the same command with `--force` includes them."
         )
         record.metric("measured materials", 0, note=f"left out: {why}")
         return
@@ -246,15 +236,11 @@ def _conclude_measured(record: Record, config: Config, found: list[dict[str, Any
     )
     record.paragraph(
         f"{len(last)} measured materials, fitted at order {top} in the isotropic reciprocal basis: {said}. The "
-        "violation after "
-        f"the fit is at most {max(row['violation after'] for row in found):.1e}. Where approximation is the larger "
-        "part, the "
-        "change of the data is not a filter of errors but a loss of detail, and a higher order or another basis is "
-        "needed "
-        "before the fit can be called filtered data. The samples include the grazing directions that the database "
-        "extrapolates; "
-        "norm D gives them little weight. A measurement that is not symmetric in the azimuth counts as approximation "
-        "here."
+        f"violation after the fit is at most {max(row['violation after'] for row in found):.1e}. Where approximation "
+        "is the larger part, the change of the data is not a filter of errors but a loss of detail, and a higher "
+        "order or another basis is needed before the fit can be called filtered data. The samples include the grazing "
+        "directions that the database extrapolates; norm D gives them little weight. A measurement that is not "
+        "symmetric in the azimuth counts as approximation here."
     )
     record.metric("measured materials", len(last))
     for row in last:
