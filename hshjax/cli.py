@@ -8,6 +8,7 @@ try:
     import typer
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 except ModuleNotFoundError as missing:
     sys.exit(f"the hshjax command needs {missing.name}: pip install 'hshjax[experiments]'")
 
@@ -17,7 +18,9 @@ app = typer.Typer(
     help="Compact, reciprocal reflectance: fit measured materials in closed form.",
     epilog="Examples:  hshjax info leather.bsdf  ·  hshjax fit leather.bsdf --order 8 --out leather.hshjax",
 )
-console = Console(highlight=False)
+# No markup: paths and what files say of themselves may hold brackets.
+console = Console(highlight=False, markup=False)
+complaints = Console(highlight=False, markup=False, stderr=True)
 
 File = Annotated[Path, typer.Argument(help="A measured material (RGL .bsdf) or a model that `hshjax fit` saved.")]
 FAMILIES = {"hsh": "HSH", "zernike": "Zernike", "shr": "SHR"}
@@ -27,9 +30,9 @@ FAMILIES = {"hsh": "HSH", "zernike": "Zernike", "shr": "SHR"}
 def info(file: File) -> None:
     """Say what a file holds: material, channels, range of values, albedo, how reciprocal it is."""
     brdf, facts = _read(file)
-    table = Table(title=str(file), title_justify="left", show_header=False)
+    table = Table(title=Text(str(file)), title_justify="left", show_header=False)
     for name, value in {**facts, **_figures(brdf)}.items():
-        table.add_row(name, value)
+        table.add_row(name, Text(value))
     console.print(table)
 
 
@@ -52,7 +55,8 @@ def fit(
         typer.Option(min=2, help="Degree of the rule that samples the material [default: 64, or 4 x order]."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Where to save the model [default: FILE with suffix .hshjax].")
+        Path | None,
+        typer.Option(help="Where to save the model, over what is there [default: FILE with suffix .hshjax]."),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="PNG of a sphere: the measurement on the left, the fit right.")
@@ -69,14 +73,22 @@ def fit(
     from hshjax.samples import Samples
 
     brdf, _ = _read(file)
-    family = getattr(bases, FAMILIES[basis])
-    with console.status("sampling and fitting"):
-        rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
-        samples = Samples.from_function(brdf, rule)
-        pairs = bases.IsotropicBasis(family(order))
-        result = project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else None)
-    out = file.with_suffix(".hshjax") if out is None else out
-    save_model(out, result.model)
+    if out is None:
+        out = file.with_suffix(".hshjax")
+        if out.exists():
+            raise _exit(f"{out} is there already: say where to save by --out (--out {out} to replace it)")
+    for target in (out, picture):
+        if target is not None and not target.absolute().parent.is_dir():
+            raise _exit(f"{target}: there is no folder {target.absolute().parent}")
+    pairs = bases.IsotropicBasis(getattr(bases, FAMILIES[basis])(order))
+    try:
+        with complaints.status("sampling and fitting"):
+            rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
+            samples = Samples.from_function(brdf, rule)
+            result = project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else None)
+        save_model(out, result.model)
+    except (OSError, ValueError) as error:
+        raise _exit(str(error)) from error
 
     table = Table(title=f"{pairs.basis}, isotropic", title_justify="left", show_header=False)
     table.add_row("coefficients", f"{result.unknowns} x {samples.channels} channels")
@@ -92,7 +104,10 @@ def fit(
     console.print(table)
     console.print(f"model: {out}")
     if picture is not None:
-        _save_spheres(picture, brdf, result.model)
+        try:
+            _save_spheres(picture, brdf, result.model)
+        except (OSError, ValueError) as error:
+            raise _exit(f"{picture}: {error}") from error
         console.print(f"picture: {picture}")
 
 
@@ -115,14 +130,14 @@ def _read(file: Path) -> tuple:
     if isinstance(brdf, LinearBRDF):
         facts |= {
             "basis": str(brdf.basis),
-            "coefficients": f"{len(brdf.basis.modes)} x {brdf.channels} channels",
+            "coefficients": f"{brdf.basis.count} x {brdf.channels} channels",
             "the series stands for": brdf.target,
         }
     return brdf, facts
 
 
 def _exit(message: str) -> Exception:
-    console.print(f"[bold red]error:[/] {message}", soft_wrap=True, markup=True)
+    complaints.print(Text("error:", style="bold red"), message, soft_wrap=True)
     return typer.Exit(2)
 
 

@@ -4,9 +4,31 @@ Local frame: the normal is +z. Directions are unit vectors that point away from 
 appear only at the edges (readers, plots), in radians, θ from the normal and φ from +x towards +y.
 """
 
+import jax
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, Real
+
+
+def common_dtype(*arrays: Array) -> tuple[Array, ...]:
+    """The arrays in their common floating dtype, explicitly, so that strict promotion has nothing to object to."""
+    arrays = tuple(jnp.asarray(a) for a in arrays)
+    with jax.numpy_dtype_promotion("standard"):
+        dtype = jnp.result_type(*arrays)
+    if not jnp.issubdtype(dtype, jnp.inexact):
+        dtype = jnp.result_type(float)  # a pole typed as [0, 0, 1]
+    return tuple(a.astype(dtype) for a in arrays)
+
+
+def as_directions(*w: Array) -> tuple[Float[Array, "... 3"], ...]:
+    """Arguments that should be directions, in their common floating dtype.
+
+    **Raises:** ValueError for anything but three components (an array that indexes past its end is clamped, not told).
+    """
+    for array in w:
+        if jnp.ndim(array) < 1 or jnp.shape(array)[-1] != 3:
+            raise ValueError(f"directions are unit vectors (*batch, 3), got shape {jnp.shape(array)}")
+    return common_dtype(*w)
 
 
 def direction(theta: Real, phi: Real) -> Float[Array, "*batch 3"]:

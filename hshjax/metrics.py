@@ -2,8 +2,8 @@
 
 They take any function of a pair of directions, `rho(wi, wo)` [sr^-1] without cosine, `(*batch, channels)`; only
 `reciprocity_error` also takes samples. Integrals run over a rule of `hshjax.quadrature`, the default one of a stated
-degree: enough for diffuse surfaces and broad lobes; a lobe of slope m needs a degree of about 20/m. Memory is bounded
-at `_CHUNK` pairs at a time.
+degree: enough for diffuse surfaces and broad lobes; raise it for sharp ones until the figure stands still. Nodes of
+weight 0 do not count. Beside values and nodes, memory holds some blocks.
 """
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -13,10 +13,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float, PairFunction, Real
+from hshjax._special import blockwise
+from hshjax._typing import Array, Float, Int, PairFunction, Real
+from hshjax.geometry import as_directions
 from hshjax.quadrature import PairRule, Rule, hemisphere_rule, pair_rule
 
 _CHUNK = 2**18
+_BLOCK = 2**12
 _DEGREE = 64
 _PAIR_DEGREE = 16
 _SAME = 1e-6
@@ -35,12 +38,12 @@ class ReciprocityError(NamedTuple):
 
     - `relative`: sqrt(∫∫ (ρ(i,o) - ρ(o,i))² z_i z_o dω_i dω_o / ∫∫ ρ² z_i z_o dω_i dω_o).
     - `maximum`: the largest z_i z_o |ρ(i,o) - ρ(o,i)| [sr^-1].
-    - `pairs`: pairs that entered: nodes of the rule, or samples that another sample at the swapped pair was found for.
+    - `pairs`: pairs that entered: nodes with a weight, or samples that another one at the swapped pair was found for.
     """
 
     relative: Float[Array, ""] | float
     maximum: Float[Array, ""] | float
-    pairs: int
+    pairs: Int[Array, ""] | int
 
 
 @runtime_checkable
@@ -65,7 +68,7 @@ def albedo(brdf: PairFunction, wo: Float[Array, "... 3"], rule: Rule | None = No
 
     For a reciprocal BRDF, the share of light from `wo` that is reflected at all. Default rule: degree 64.
     """
-    wo = jnp.asarray(wo)
+    (wo,) = as_directions(wo)
     rule = hemisphere_rule(_DEGREE, dtype=wo.dtype) if rule is None else rule
     return _albedo(brdf, wo, rule)
 
@@ -76,7 +79,7 @@ def _albedo(brdf: PairFunction, wo: Float[Array, "... 3"], rule: Rule) -> Real:
     foreshortened = (rule.weight * rule.w[:, 2]).astype(wo.dtype)[:, None]
 
     def one(direction):
-        return jnp.sum(brdf(wi, jnp.broadcast_to(direction, wi.shape)) * foreshortened, axis=0)
+        return jnp.sum(with_channels(brdf(wi, jnp.broadcast_to(direction, wi.shape)), 1) * foreshortened, axis=0)
 
     flat = jax.lax.map(one, wo.reshape(-1, 3), batch_size=max(1, _CHUNK // wi.shape[0]))
     return flat.reshape(*wo.shape[:-1], flat.shape[-1])
@@ -99,16 +102,14 @@ def negativity(brdf: PairFunction, rule: PairRule | None = None) -> Negativity:
 
 @eqx.filter_jit
 def _negativity(brdf: PairFunction, rule: PairRule) -> Negativity:
-    def one(node):
-        wi, wo, weight = node
-        value = _at(brdf, wi, wo)
-        energy = weight * wi[2] * wo[2] * value
-        return jnp.sum(jnp.maximum(-energy, 0)), jnp.sum(jnp.abs(energy)), jnp.min(value)
-
-    negative, total, minimum = jax.lax.map(one, (rule.wi, rule.wo, rule.weight), batch_size=_CHUNK)
-    negative, total = jnp.sum(negative), jnp.sum(total)
+    seen = (rule.weight > 0)[:, None]
+    value = _values(brdf, rule.wi, rule.wo)
+    energy = jnp.where(seen, (rule.weight * rule.wi[:, 2] * rule.wo[:, 2])[:, None] * value, 0)
+    negative, total = jnp.sum(jnp.maximum(-energy, 0)), jnp.sum(jnp.abs(energy))
     some = total > 0
-    return Negativity(jnp.where(some, negative / jnp.where(some, total, 1), 0), jnp.min(minimum))
+    return Negativity(
+        jnp.where(some, negative / jnp.where(some, total, 1), 0), jnp.min(value, where=seen, initial=jnp.inf)
+    )
 
 
 def reciprocity_error(subject: PairFunction | SampleLike, rule: PairRule | None = None) -> ReciprocityError:
@@ -127,29 +128,32 @@ def reciprocity_error(subject: PairFunction | SampleLike, rule: PairRule | None 
                 f"samples bring their own pairs: rule must be None, got a PairRule of degree {rule.degree}"
             )
         return _samples_reciprocity_error(subject)
-    return ReciprocityError(*_reciprocity(subject, pair_rule(_PAIR_DEGREE) if rule is None else rule))
+    relative, maximum, pairs = _reciprocity(subject, pair_rule(_PAIR_DEGREE) if rule is None else rule)
+    return ReciprocityError(relative, maximum, pairs)
 
 
 @eqx.filter_jit
-def _reciprocity(subject: PairFunction, rule: PairRule) -> tuple[Array, Array, int]:
-    def one(node):
-        wi, wo, weight = node
-        value, swapped = _at(subject, wi, wo), _at(subject, wo, wi)
-        cosines = wi[2] * wo[2]
-        difference = value - swapped
-        # Both orders in the denominator: a rule with wi at φ = 0 need not be symmetric node by node.
-        power = weight * cosines * (value**2 + swapped**2) / 2
-        return jnp.sum(weight * cosines * difference**2), jnp.sum(power), jnp.max(cosines * jnp.abs(difference))
-
-    square, power, maximum = jax.lax.map(one, (rule.wi, rule.wo, rule.weight), batch_size=_CHUNK // 2)
-    square, power = jnp.sum(square), jnp.sum(power)
+def _reciprocity(subject: PairFunction, rule: PairRule) -> tuple[Array, Array, Array]:
+    seen = (rule.weight > 0)[:, None]
+    value, swapped = (jnp.where(seen, _values(subject, *pair), 0) for pair in ((rule.wi, rule.wo), (rule.wo, rule.wi)))
+    cosines = (rule.wi[:, 2] * rule.wo[:, 2])[:, None]
+    mass, difference = rule.weight[:, None] * cosines, value - swapped
+    square = jnp.sum(mass * difference**2)
+    # Both orders in the denominator: a rule with wi at φ = 0 need not be symmetric node by node.
+    power = jnp.sum(mass * (value**2 + swapped**2)) / 2
     some = power > 0
-    return jnp.where(some, jnp.sqrt(square / jnp.where(some, power, 1)), 0), jnp.max(maximum), rule.weight.size
+    relative = jnp.where(some, jnp.sqrt(square / jnp.where(some, power, 1)), 0)
+    return relative, jnp.max(cosines * jnp.abs(difference), initial=0), jnp.sum(seen)
 
 
-def _at(brdf: PairFunction, wi: Float[Array, "3"], wo: Float[Array, "3"]) -> Float[Array, " channels"]:
-    """The BRDF at one pair, by a batch of one: a user's function may count on a batch axis."""
-    return brdf(wi[None], wo[None])[0]
+def _values(brdf: PairFunction, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Float[Array, "n channels"]:
+    """The BRDF at many pairs, block by block: beside them, memory holds what one block needs."""
+    return blockwise(lambda i, o: with_channels(brdf(i, o), 1), _BLOCK, wi, wo)
+
+
+def with_channels(value: Real, batch: int) -> Real:
+    """Values with `batch` leading axes and an axis of channels; a function that returns none has one channel."""
+    return value[..., None] if value.ndim == batch else value
 
 
 def _samples_reciprocity_error(samples: SampleLike) -> ReciprocityError:

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction
+from hshjax.metrics import with_channels
 from hshjax.quadrature import PairRule
 
 
@@ -14,7 +15,8 @@ class Samples(eqx.Module):
     - `value`: the BRDF `(n, channels)` [sr^-1], cosine not included.
     - `weight`: `(n,)`, solid angle of a quadrature node [sr²] or a confidence; 0 masks a sample.
     - `degree`: set where the samples are the nodes of a rule that is exact to this degree (see `hshjax.quadrature`),
-      None for scattered samples. Changing weights makes samples scattered.
+      None for scattered samples. `reweighted` clears it. What maps over the arrays (`jax.tree.map`) keeps it: make a
+      part of a rule by `Samples.scattered`.
     - `isotropic`: whether only φ_i - φ_o matters; a rule with wi at φ = 0 is exact for such functions only.
 
     **Raises:** ValueError where the shapes disagree.
@@ -51,9 +53,7 @@ class Samples(eqx.Module):
     @classmethod
     def from_function(cls, brdf: PairFunction, rule: PairRule) -> "Samples":
         """`brdf(wi, wo)` at the nodes of a pair rule, weighted by solid angle. A result `(n,)` becomes one channel."""
-        value = jnp.asarray(brdf(rule.wi, rule.wo))
-        if value.ndim == 1:
-            value = value[:, None]
+        value = with_channels(jnp.asarray(brdf(rule.wi, rule.wo)), 1)
         return cls(rule.wi, rule.wo, value, rule.weight, rule.degree, rule.isotropic)
 
     @classmethod

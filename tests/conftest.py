@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 import jax
+import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
@@ -32,3 +33,11 @@ def data() -> Path:
     if not folder:
         pytest.skip("real data: set HSHJAX_DATA to the folder that holds rgl/, diligent/, ...")
     return Path(folder)
+
+
+@pytest.fixture
+def unchecked():
+    """Without the tests' shape checks, which refuse what the library is to refuse itself."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

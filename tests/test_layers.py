@@ -34,7 +34,7 @@ SAME_FLOOR = {
     "_special": {"_typing"},
     "geometry": {"_typing"},
     "quadrature": {"_typing", "_special", "geometry"},
-    "metrics": {"_typing", "geometry", "quadrature"},
+    "metrics": {"_typing", "_special", "geometry", "quadrature"},
     "cli": {"plotting"},
 }
 """The only imports that stay on one floor, each in one direction."""

@@ -10,7 +10,7 @@ import pytest
 from hshjax.brdfs import CookTorrance, Lambert, OrenNayar
 from hshjax.geometry import direction
 from hshjax.metrics import albedo, hemispherical_albedo, negativity, reciprocity_error
-from hshjax.quadrature import hemisphere_rule, isotropic_pair_rule, pair_rule
+from hshjax.quadrature import PairRule, hemisphere_rule, isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, assert_close, directions
 
@@ -189,3 +189,23 @@ def test_many_samples_take_seconds():
     assert_close(error.maximum, jnp.max(2 * wi[:, 2] * wo[:, 2] * jnp.abs(wi[:, 2] - wo[:, 2])))
     # A quadratic search would take hours; the bound leaves a slow machine room.
     assert elapsed < 60
+
+
+def test_nodes_of_weight_zero_do_not_count():
+    rule = pair_rule(6, dtype=DTYPE)
+    low = (rule.wi[:, 2] < 0.3) | (rule.wo[:, 2] < 0.3)
+    masked = PairRule(rule.wi, rule.wo, jnp.where(low, 0, rule.weight), rule.degree, rule.isotropic)
+
+    def only_low(wi, wo):
+        return jnp.where((wi[..., 2:] < 0.3) | (wo[..., 2:] < 0.3), -wi[..., 2:], 0)
+
+    assert negativity(only_low, masked) == (0, 0)
+    error = reciprocity_error(only_low, masked)
+    assert (error.relative, error.maximum, error.pairs) == (0, 0, int(jnp.sum(~low)))
+
+
+def test_a_function_without_channels_has_one():
+    wo = directions(10, 4)
+    flat = lambda wi, wo: wi[..., 2] / jnp.pi  # noqa: E731  one line is all that it is
+    assert albedo(flat, wo).shape == (4, 1)
+    assert_close(albedo(flat, wo), jnp.full((4, 1), 2 / 3))

@@ -2,21 +2,12 @@
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import pytest
 
 from hshjax import Samples, isotropic_pair_rule, pair_rule
 from tests.helpers import DTYPE, assert_close, directions
 
 N = 5
-
-
-@pytest.fixture
-def unchecked():
-    """Without the tests' shape checks, which refuse what the constructor is to refuse itself."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 def parts(**changed):

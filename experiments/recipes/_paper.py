@@ -3,7 +3,6 @@
 import math
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -93,17 +92,13 @@ def _incident(theta_i: float):
 
 
 def plane_directions(theta: np.ndarray):
-    """Directions `(*batch, 3)` in the incident plane at signed angles [radians]; negative ones opposite to the "
-    "light."""
+    """Directions `(*batch, 3)` in the incident plane at signed angles [radians]; negative: away from the light."""
     return direction(jnp.asarray(np.abs(theta)), jnp.asarray(np.where(theta < 0, np.pi, 0.0)))
-
-
-_rows = jax.jit(lambda basis, w: basis(w), static_argnums=0)
 
 
 def bilateral_rows(basis: AbstractBasis, w) -> np.ndarray:
     """The columns with m >= 0 at directions `(n, 3)`, all that a function even in φ needs."""
-    return np.asarray(_rows(basis, w), np.float64)[:, np.array(basis.modes)[:, 1] >= 0]
+    return np.asarray(basis(w), np.float64)[:, np.array(basis.modes)[:, 1] >= 0]
 
 
 def bilateral_modes(basis: AbstractBasis) -> np.ndarray:

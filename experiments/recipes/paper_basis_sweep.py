@@ -61,9 +61,12 @@ class Config(RecipeConfig):
     plane_limit: Annotated[float, Field(gt=0, le=90, description="incident plane: |θo| up to here [degrees]")] = 89.85
 
 
+def _times(order: int, fit: str) -> float:
+    return count("HSH", order, fit) / count("Zernike", order, fit)
+
+
 def zernike_order(order: int) -> int:
-    """Smallest Zernike order with no fewer coefficients than HSH of `order`, on slices and in 4-D: equal count needs "
-    "it."""
+    """Smallest Zernike order with no fewer coefficients than HSH of `order`, on slices and in 4-D."""
     n = order
     while any(count("Zernike", n, fit) < count("HSH", order, fit) for fit in (FULL, SLICE)):
         n += 1
@@ -221,8 +224,9 @@ def _conclude(record: Record, config: Config, verdicts: list[dict[str, Any]]) ->
         f"{config.order}, HSH has the smaller error in {wins['order']} of {total} comparisons at equal order and in "
         f"{wins['count']} of {total} at an equal number of coefficients. At equal order HSH wins at every one of "
         f"these orders for: {'; '.join(everywhere) or 'nothing'}. It loses somewhere for: "
-        f"{'; '.join(lost) or 'nothing'}. But an order of HSH has about twice as many functions as one of Zernike on "
-        "a slice, and about four times as many in a full fit, so that equal order compares models of unequal size."
+        f"{'; '.join(lost) or 'nothing'}. But equal order compares models of unequal size: at order {config.order} HSH "
+        f"has {_times(config.order, SLICE):.1f} times the functions of Zernike on a slice, and "
+        f"{_times(config.order, FULL):.1f} times as many in a full fit."
     )
     record.paragraph(
         "On the paper's own ground, the slice, HSH wins at equal order for "

@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import jax
 import matplotlib.pyplot as plt
 import numpy as np
 from pydantic import Field
@@ -76,9 +75,6 @@ def run(config: Config, record: Record) -> None:
 # Noise of known size
 
 
-_series = jax.jit(lambda basis, c, wi, wo: basis.evaluate(c, wi, wo), static_argnums=0)
-
-
 def _noise(config: Config, record: Record) -> list[dict[str, Any]]:
     rule = pair_rule(config.degree)
     n = round(rule.weight.size**0.5)
@@ -102,7 +98,7 @@ def _noise(config: Config, record: Record) -> list[dict[str, Any]]:
             for label, family in PAIRS.items():
                 basis = family(HSH(order))
                 model = project(basis, samples, norm="D", reciprocity=False).model
-                fit = np.asarray(_series(basis, model.coefficients, rule.wi, rule.wo))
+                fit = np.asarray(basis.evaluate(model.coefficients, rule.wi, rule.wo))
                 approximation = _size(weight, fit[:, 0] - truth)
                 for k, (kind, level) in enumerate(((kind, level) for kind in KINDS for level in config.levels), 1):
                     rows.append({
@@ -162,7 +158,7 @@ def _measured(config: Config, paths: list[str]) -> list[dict[str, Any]]:
         for order in config.measured_orders:
             basis = IsotropicBasis(HSH(order))
             model = project(basis, samples, norm="D", reciprocity=False).model
-            fit = np.asarray(_series(basis, model.coefficients, rule.wi, rule.wo))
+            fit = np.asarray(basis.evaluate(model.coefficients, rule.wi, rule.wo))
             fit_cube = fit.reshape(cube.shape)
             fit_swapped = np.roll(fit_cube.transpose(1, 0, 2, 3)[:, :, ::-1], 1, axis=2)
             change, filtered = size(fit - g) / total, size(reciprocal - g) / total

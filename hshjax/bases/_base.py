@@ -16,6 +16,7 @@ from jax.custom_derivatives import SymbolicZero
 
 from hshjax._special import RadialTables, azimuthal_fold, blockwise, radial_fold
 from hshjax._typing import Array, Float, Real
+from hshjax.geometry import as_directions, common_dtype
 
 BLOCK = 1024
 """Points a block: three channels of order 16 then stay in the second-level cache."""
@@ -58,6 +59,21 @@ class AbstractBasis(eqx.Module):
         """(n, m) of every column."""
 
     @abc.abstractmethod
+    def radial_counts(self) -> tuple[int, ...]:
+        """How many radial functions there are at each azimuthal order m = 0 ... order."""
+
+    @property
+    def count(self) -> int:
+        """Number of functions, `len(modes)` without the list."""
+        first, *rest = self.radial_counts()
+        return first + 2 * sum(rest)
+
+    @property
+    def hemispherical(self) -> bool:
+        """Whether the functions are orthonormal on the hemisphere; all are but `SphericalHarmonics`."""
+        return True
+
+    @abc.abstractmethod
     def tables(self) -> RadialTables:
         """Recurrence coefficients of the radial polynomials, one row for each m >= 0."""
 
@@ -72,25 +88,26 @@ class AbstractBasis(eqx.Module):
     def columns(self) -> np.ndarray:
         """Column of (m, j, cosine | sine), `(orders, degrees, 2)`; absent functions point one past the last column."""
         tables = self.tables()
-        table = np.full((*tables.slope.shape, 2), len(self.modes), np.int32)
+        table = np.full((*tables.slope.shape, 2), self.count, np.int32)
         for column, (n, m) in enumerate(self.modes):
             table[abs(m), self.radial_index(n, m), int(m < 0)] = column
         return table
 
     def __call__(self, w: Float[Array, "*batch 3"]) -> Float[Array, "*batch modes"]:
         """The design row y_1(w) ... y_K(w). `evaluate` is faster wherever only Σ c_k y_k is needed."""
-        w = jnp.asarray(w)
-        return _rows(self, w.reshape(-1, 3)).reshape(*w.shape[:-1], len(self.modes))
+        (w,) = as_directions(w)
+        return _rows(self, w.reshape(-1, 3)).reshape(*w.shape[:-1], self.count)
 
     def evaluate(self, coefficients: Float[Array, "modes *channels"], w: Float[Array, "*batch 3"]) -> Real:
         """Σ_k c_k y_k(w), `(*batch, *channels)`, for any number of channels; the design row is never materialised.
 
         **Raises:** ValueError if `coefficients` does not have one row per mode.
         """
+        (w,) = as_directions(w)
         coefficients, w = common_dtype(coefficients, w)
         check_modes(self, coefficients)
         channels = coefficients.shape[1:]
-        value = _sums(self, coefficients.reshape(len(self.modes), -1), w.reshape(-1, 3))
+        value = _sums(self, coefficients.reshape(self.count, -1), w.reshape(-1, 3))
         return value.reshape(*w.shape[:-1], *channels)
 
     def __hash__(self) -> int:
@@ -100,19 +117,11 @@ class AbstractBasis(eqx.Module):
         return type(self) is type(other) and self.order == other.order  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def common_dtype(*arrays: Array) -> tuple[Array, ...]:
-    """The arrays in their common floating dtype, explicitly, so that strict promotion has nothing to object to."""
-    arrays = tuple(jnp.asarray(a) for a in arrays)
-    with jax.numpy_dtype_promotion("standard"):
-        dtype = jnp.result_type(*arrays)
-    return tuple(a.astype(dtype) for a in arrays)
-
-
 def check_modes(basis, coefficients: Array) -> None:
     """ValueError unless `coefficients` has one row per mode of `basis`."""
-    if coefficients.ndim < 1 or coefficients.shape[0] != len(basis.modes):
+    if coefficients.ndim < 1 or coefficients.shape[0] != basis.count:
         raise ValueError(
-            f"coefficients of {basis} must have shape ({len(basis.modes)}, *channels), got {coefficients.shape}"
+            f"coefficients of {basis} must have shape ({basis.count}, *channels), got {coefficients.shape}"
         )
 
 
@@ -130,7 +139,7 @@ def _block_rows(basis: AbstractBasis, exact: bool, w: Float[Array, "points 3"]) 
 
         return radial_fold(tables, m, chart.x, rows, visit_degree, exact=exact)
 
-    rows = jnp.zeros((len(basis.modes), w.shape[0]), w.dtype)
+    rows = jnp.zeros((basis.count, w.shape[0]), w.dtype)
     return azimuthal_fold(chart.square, chart.odd, len(tables.start), rows, visit_order).T
 
 

@@ -4,8 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, Real
-from hshjax.bases._base import AbstractBasis, check_modes, common_dtype
+from hshjax.bases._base import AbstractBasis, check_modes
 from hshjax.bases._pairs import AbstractPairBasis, HelmholtzBasis, from_matrix, to_matrix
+from hshjax.geometry import common_dtype
 
 
 def convert(
@@ -24,13 +25,13 @@ def convert(
     coefficients = jnp.asarray(coefficients)
     if isinstance(source, AbstractBasis) and type(source) is type(target):
         check_modes(source, coefficients)
-        return _resized(coefficients, (len(target.modes),))
+        return _resized(coefficients, (target.count,))
     if (
         isinstance(source, AbstractPairBasis)
         and isinstance(target, AbstractPairBasis)
         and type(source.basis) is type(target.basis)
     ):
-        k = len(target.basis.modes)
+        k = target.basis.count
         return from_matrix(target, _resized(to_matrix(source, coefficients), (k, k)))
     raise ValueError(f"convert needs two bases, or two pair bases, of one family; got {source} and {target}")
 
@@ -40,7 +41,7 @@ def from_ordered(pairs: HelmholtzBasis, series: Float[Array, "k k *channels"]) -
 
     Eq. 3 counts every function with a ≠ b twice: its two coefficients add.
     """
-    k = len(pairs.basis.modes)
+    k = pairs.basis.count
     if series.shape[:2] != (k, k):
         raise ValueError(f"the ordered series of {pairs} must have shape ({k}, {k}, *channels), got {series.shape}")
     a, b = pairs.unordered()
@@ -51,7 +52,7 @@ def from_ordered(pairs: HelmholtzBasis, series: Float[Array, "k k *channels"]) -
 def to_ordered(pairs: HelmholtzBasis, coefficients: Float[Array, "modes *channels"]) -> Real:
     """The ordered series of Eq. 3 with a_np^mq = a_pn^qm, the one of least norm among those that say the same."""
     check_modes(pairs, coefficients)
-    k, (a, b) = len(pairs.basis.modes), pairs.unordered()
+    k, (a, b) = pairs.basis.count, pairs.unordered()
     half = jnp.where(_column(a == b, coefficients), coefficients, coefficients / 2)
     empty = jnp.zeros((k, k, *coefficients.shape[1:]), coefficients.dtype)
     return empty.at[a, b].set(half).at[b, a].set(half)
@@ -61,6 +62,9 @@ class LowRank(eqx.Module):
     """A reciprocal function h(wi)ᵀ A h(wo) with A = Σ_r λ_r v_r v_rᵀ, one factorisation a channel.
 
     - `values`: λ, `(rank, channels)`, by falling modulus. - `vectors`: v, `(modes, rank, channels)`.
+    A is what a series stands for: of a `LinearBRDF` with another target than "brdf" it is a foreshortened BRDF, and to
+    be divided by the cosines as there.
+
     - `error`: ||A - Σ λ v vᵀ||_F / ||A||_F per channel, which is the relative L2 error of the function.
     """
 
@@ -85,7 +89,7 @@ def factorize(basis: AbstractBasis, matrix: Float[Array, "modes modes channels"]
 
     **Raises:** ValueError for a rank outside 1 ... K or a matrix of the wrong shape. Only the symmetric part is read.
     """
-    k = len(basis.modes)
+    k = basis.count
     if matrix.ndim != 3 or matrix.shape[:2] != (k, k):
         raise ValueError(f"the matrix of {basis} must have shape ({k}, {k}, channels), got {matrix.shape}")
     if not 1 <= rank <= k:

@@ -33,6 +33,11 @@ class IsotropicBasis(AbstractPairBasis):
     def modes(self) -> tuple[tuple[int, int, int], ...]:
         return _modes(self.basis, self.bilateral)
 
+    @property
+    def count(self) -> int:
+        first, *rest = self.basis.radial_counts()
+        return first * (first + 1) // 2 + sum(k * (k + 1) // 2 if self.bilateral else k * k for k in rest)
+
     def degrees(self) -> np.ndarray:
         return np.array([mode[:2] for mode in self.modes])
 

@@ -8,10 +8,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from hshjax._special import blockwise
 from hshjax._typing import Array, Float, Real
-from hshjax.bases._base import AbstractBasis, check_modes, common_dtype, matmul
+from hshjax.bases._base import AbstractBasis, check_modes, matmul
+from hshjax.geometry import as_directions, common_dtype
 
 PAIR_BLOCK = 512
 """Pairs a block: rows of order 16 for both directions, and their product with A, then stay in the cache."""
@@ -29,6 +31,8 @@ class Entries(NamedTuple):
 class AbstractPairBasis(eqx.Module):
     """Functions of (wi, wo) [sr^-1], orthonormal for dω_i dω_o on the product of two hemispheres.
 
+    That is where `basis.hemispherical`; over `SphericalHarmonics` they are orthonormal on two spheres.
+
     Directions are unit vectors in the local frame, both away from the surface; `wi` and `wo` broadcast. Columns are
     ordered by the larger of the two orders first, so that a lower order is a prefix of a higher one (but for
     `TensorBasis`, whose coefficients are a matrix read row by row).
@@ -36,10 +40,19 @@ class AbstractPairBasis(eqx.Module):
 
     basis: eqx.AbstractVar[AbstractBasis]
 
+    def __check_init__(self):
+        if not isinstance(self.basis, AbstractBasis):
+            raise ValueError(f"{type(self).__name__} needs a basis of single directions, got {self.basis!r}")
+
     @property
     @abc.abstractmethod
     def modes(self) -> tuple:
         """What each column is: see the class."""
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> int:
+        """Number of functions, `len(modes)` without the list."""
 
     def degrees(self) -> np.ndarray:
         """Orders (n, p) of every column in its two directions, `(modes, 2)`. Host array."""
@@ -67,7 +80,7 @@ class AbstractPairBasis(eqx.Module):
     def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
         """The design row `(*batch, modes)`. `evaluate` is faster wherever only Σ c_k B_k is needed."""
         wi, wo, batch = flat_pairs(wi, wo)
-        return _rows(self, wi, wo).reshape(*batch, len(self.modes))
+        return _rows(self, wi, wo).reshape(*batch, self.count)
 
     def evaluate(
         self, coefficients: Float[Array, "modes ..."], wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]
@@ -76,11 +89,11 @@ class AbstractPairBasis(eqx.Module):
 
         **Raises:** ValueError if `coefficients` does not have one row per mode.
         """
+        wi, wo, batch = flat_pairs(wi, wo)
         coefficients, wi, wo = common_dtype(coefficients, wi, wo)
         check_modes(self, coefficients)
-        wi, wo, batch = flat_pairs(wi, wo)
         channels = coefficients.shape[1:]
-        return _sums(self, coefficients.reshape(len(self.modes), -1), wi, wo).reshape(*batch, *channels)
+        return _sums(self, coefficients.reshape(self.count, -1), wi, wo).reshape(*batch, *channels)
 
 
 # Compiled once for a basis and a shape, as in hshjax/bases/_base.py. The blocks are recomputed, not stored, in reverse:
@@ -92,9 +105,31 @@ def _rows(pairs: AbstractPairBasis, wi: Array, wo: Array) -> Array:
     return blockwise(jax.checkpoint(pairs.block_rows), PAIR_BLOCK, wi, wo)
 
 
-@partial(jax.jit, static_argnums=0)
-def _sums(pairs: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
+def _block_sums(pairs: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
     return blockwise(jax.checkpoint(partial(pairs.block_sums, coefficients)), PAIR_BLOCK, wi, wo)
+
+
+_differentiable_sums = jax.custom_jvp(_block_sums, nondiff_argnums=(0,))
+
+
+@partial(_differentiable_sums.defjvp, symbolic_zeros=True)
+def _(pairs, primals, tangents):
+    """By coefficients, rows times dc: the columns of a Jacobian share the rows, and its transpose is one product."""
+    coefficients, wi, wo = primals
+    d_coefficients, *d_directions = tangents
+    if all(isinstance(d, SymbolicZero) for d in d_directions):
+        value = _differentiable_sums(pairs, coefficients, wi, wo)
+        tangent = jnp.zeros_like(value)
+    else:
+        d_directions = [jnp.zeros_like(wi) if isinstance(d, SymbolicZero) else d for d in d_directions]
+        value, tangent = jax.jvp(partial(_block_sums, pairs, coefficients), (wi, wo), tuple(d_directions))
+    if not isinstance(d_coefficients, SymbolicZero):
+        product = jax.checkpoint(lambda d, i, o: matmul(pairs.block_rows(i, o), d))
+        tangent += blockwise(partial(product, d_coefficients), PAIR_BLOCK, wi, wo)
+    return value, tangent
+
+
+_sums = jax.jit(_differentiable_sums, static_argnums=0)
 
 
 class TensorBasis(AbstractPairBasis):
@@ -110,20 +145,24 @@ class TensorBasis(AbstractPairBasis):
         return _tensor_modes(self.basis)
 
     @property
+    def count(self) -> int:
+        return self.basis.count**2
+
+    @property
     def reciprocal(self) -> bool:
         return False
 
     def entries(self) -> Entries:
-        k = len(self.basis.modes)
+        k = self.basis.count
         a, b = (grid.ravel() for grid in np.meshgrid(np.arange(k), np.arange(k), indexing="ij"))
         return Entries(np.arange(k * k), a, b, np.ones(k * k))
 
     def block_rows(self, wi, wo):
         hi, ho = self.basis(wi), self.basis(wo)
-        return (hi[:, :, None] * ho[:, None, :]).reshape(wi.shape[0], len(self.modes))
+        return (hi[:, :, None] * ho[:, None, :]).reshape(wi.shape[0], self.count)
 
     def block_sums(self, coefficients, wi, wo):
-        k = len(self.basis.modes)
+        k = self.basis.count
         return bilinear(self.basis, coefficients.reshape(k, k, -1), wi, wo)
 
     def __hash__(self) -> int:
@@ -148,12 +187,16 @@ class HelmholtzBasis(AbstractPairBasis):
         return _helmholtz_modes(self.basis)
 
     @property
+    def count(self) -> int:
+        return self.basis.count * (self.basis.count + 1) // 2
+
+    @property
     def reciprocal(self) -> bool:
         return True
 
     def unordered(self) -> tuple[np.ndarray, np.ndarray]:
         """The columns (a, b) of the single basis, a <= b, behind every column of this one. Host arrays."""
-        return _unordered_pairs(len(self.basis.modes))
+        return _unordered_pairs(self.basis.count)
 
     def entries(self) -> Entries:
         a, b = self.unordered()
@@ -181,7 +224,7 @@ def to_matrix(pairs: AbstractPairBasis, coefficients: Float[Array, "modes *chann
     """The matrix A, `(K, K, *channels)`, with ρ(wi, wo) = h(wi)ᵀ A h(wo); symmetric for a reciprocal basis."""
     coefficients = jnp.asarray(coefficients)
     check_modes(pairs, coefficients)
-    k, (mode, a, b, value) = len(pairs.basis.modes), pairs.entries()
+    k, (mode, a, b, value) = pairs.basis.count, pairs.entries()
     matrix = jnp.zeros((k, k, *coefficients.shape[1:]), coefficients.dtype)
     return matrix.at[a, b].add(_weights(value, coefficients) * coefficients[mode])
 
@@ -193,10 +236,10 @@ def from_matrix(pairs: AbstractPairBasis, matrix: Float[Array, "k k *channels"])
     reciprocal part (A + Aᵀ)/2 (claim 6 of the paper), for `IsotropicBasis` the average over rotations as well.
     """
     matrix = jnp.asarray(matrix)
-    k, (mode, a, b, value) = len(pairs.basis.modes), pairs.entries()
+    k, (mode, a, b, value) = pairs.basis.count, pairs.entries()
     if matrix.shape[:2] != (k, k):
         raise ValueError(f"the matrix of {pairs} must have shape ({k}, {k}, *channels), got {matrix.shape}")
-    coefficients = jnp.zeros((len(pairs.modes), *matrix.shape[2:]), matrix.dtype)
+    coefficients = jnp.zeros((pairs.count, *matrix.shape[2:]), matrix.dtype)
     return coefficients.at[mode].add(_weights(value, matrix[0]) * matrix[a, b])
 
 
@@ -211,7 +254,7 @@ def bilinear(
 
 def flat_pairs(wi: Array, wo: Array) -> tuple[Float[Array, "pairs 3"], Float[Array, "pairs 3"], tuple[int, ...]]:
     """Both directions broadcast against each other and flattened, and the batch shape."""
-    wi, wo = common_dtype(wi, wo)
+    wi, wo = as_directions(wi, wo)
     shape = jnp.broadcast_shapes(wi.shape, wo.shape)
     return jnp.broadcast_to(wi, shape).reshape(-1, 3), jnp.broadcast_to(wo, shape).reshape(-1, 3), shape[:-1]
 

@@ -19,6 +19,10 @@ class SphericalHarmonics(AbstractTriangle):
 
     order: int = eqx.field(static=True, converter=checked_order)
 
+    @property
+    def hemispherical(self) -> bool:
+        return False
+
     def tables(self) -> RadialTables:
         return _tables(self.order)
 

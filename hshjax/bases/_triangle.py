@@ -15,6 +15,9 @@ class AbstractTriangle(AbstractBasis):
     def modes(self) -> tuple[tuple[int, int], ...]:
         return tuple((n, m) for n in range(self.order + 1) for m in range(-n, n + 1))
 
+    def radial_counts(self) -> tuple[int, ...]:
+        return tuple(range(self.order + 1, 0, -1))
+
     def radial_index(self, n: int, m: int) -> int:
         return n - abs(m)
 
@@ -33,4 +36,4 @@ def triangle_tables(
         mean = np.prod([2 * k / (2 * k + 1) for k in range(1, m + 1)])
         return 1 / np.sqrt(azimuth * mass * mean)
 
-    return radial_tables([order - m + 1 for m in range(order + 1)], first_norm, matrix)
+    return radial_tables(list(range(order + 1, 0, -1)), first_norm, matrix)

@@ -28,6 +28,9 @@ class Zernike(AbstractBasis):
     def modes(self) -> tuple[tuple[int, int], ...]:
         return tuple((n, m) for n in range(self.order + 1) for m in range(-n, n + 1, 2))
 
+    def radial_counts(self) -> tuple[int, ...]:
+        return tuple((self.order - m) // 2 + 1 for m in range(self.order + 1))
+
     def radial_index(self, n: int, m: int) -> int:
         return (n - abs(m)) // 2
 

@@ -1,14 +1,15 @@
 """The BRDF: a function of a pair of directions, and sums and multiples of such."""
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, Real
-from hshjax.geometry import dot
+from hshjax.brdfs._parameters import check_parameters
+from hshjax.geometry import as_directions, dot
 
 
 def bounded(low: float, high: float, **kwargs) -> Any:
@@ -31,14 +32,18 @@ class AbstractBRDF(eqx.Module):
 
     A final class writes one formula, `formula(wi, wo)`, and may take for granted that both z > 0. `a + b`, `2.0 * a`
     and `a * scale` make new BRDFs.
+
+    **Raises:** ValueError, when called, for directions that do not have three components.
     """
+
+    __array_ufunc__: ClassVar = None  # numpy_array * brdf asks the BRDF, instead of making an array of BRDFs
 
     @abc.abstractmethod
     def formula(self, wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]) -> Float[Array, "*batch channels"]:
         """The BRDF [sr^-1] at directions of equal shape strictly above the horizon."""
 
     def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
-        return _above_the_horizon(self, jnp.asarray(wi), jnp.asarray(wo))
+        return _above_the_horizon(self, *as_directions(wi, wo))
 
     def __add__(self, other: "AbstractBRDF") -> "SumBRDF":
         if not isinstance(other, AbstractBRDF):
@@ -70,6 +75,11 @@ class SumBRDF(AbstractBRDF):
     a: AbstractBRDF
     b: AbstractBRDF
 
+    def __check_init__(self):
+        for part in (self.a, self.b):
+            if not isinstance(part, AbstractBRDF):
+                raise ValueError(f"a sum of BRDFs needs BRDFs, got {part!r}")
+
     def formula(self, wi, wo):
         return self.a.formula(wi, wo) + self.b.formula(wi, wo)
 
@@ -79,6 +89,11 @@ class ScaledBRDF(AbstractBRDF):
 
     brdf: AbstractBRDF
     scale: Real = bounded(0.0, float("inf"))
+
+    def __check_init__(self):
+        if not isinstance(self.brdf, AbstractBRDF):
+            raise ValueError(f"a multiple of a BRDF needs a BRDF, got {self.brdf!r}")
+        check_parameters(self, spectra=("scale",))
 
     def formula(self, wi, wo):
         return per_channel(self.scale, wi) * self.brdf.formula(wi, wo)

@@ -41,7 +41,7 @@ class ConstantFresnel(AbstractFresnel):
     **Raises:** ValueError for a value outside [0, 1].
     """
 
-    value: float = eqx.field(static=True, default=1.0)
+    value: float = eqx.field(static=True, default=1.0, converter=float)
 
     def __check_init__(self):
         if not 0 <= self.value <= 1:

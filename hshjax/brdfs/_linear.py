@@ -40,9 +40,9 @@ class LinearBRDF(AbstractBRDF):
 
     def __check_init__(self):
         shape = jnp.shape(self.coefficients)
-        if len(shape) != 2 or shape[0] != len(self.basis.modes):
+        if len(shape) != 2 or shape[0] != self.basis.count:
             raise ValueError(
-                f"coefficients of a LinearBRDF over {self.basis} must have shape ({len(self.basis.modes)}, channels), "
+                f"coefficients of a LinearBRDF over {self.basis} must have shape ({self.basis.count}, channels), "
                 f"got {shape}"
             )
 

@@ -11,9 +11,12 @@ from hshjax.fitting._norms import Norm
 from hshjax.samples import Samples
 
 
-def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) -> None:
-    """ValueError, naming a count and a remedy, for samples that no fit can use."""
-    bad_weights, usable, inside, faults = jax.device_get(_survey(samples, norm))
+def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) -> tuple[int, float]:
+    """How many samples have a weight, and the sum of the weights.
+
+    **Raises:** ValueError, naming a count and a remedy, for samples that no fit can use.
+    """
+    bad_weights, usable, inside, total, faults = jax.device_get(_survey(samples, norm))
     if bad_weights:
         raise ValueError(f"{bad_weights} of {samples.size} weights are negative or not finite")
     if usable == 0:
@@ -29,6 +32,7 @@ def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) 
             f"{inside} samples count in norm {norm.name}, but there are {unknowns} unknowns: "
             "lower the order, add samples, or give a ridge > 0"
         )
+    return int(usable), float(total)
 
 
 FAULTS = (
@@ -40,8 +44,8 @@ FAULTS = (
 
 
 @partial(jax.jit, static_argnums=1)  # one program, where each of its operations would be compiled by itself
-def _survey(samples: Samples, norm: Norm) -> tuple[Array, Array, Array, list[tuple[Array, Array]]]:
-    """Weights that are none, usable samples, those of them that the norm sees, and (count, first) of every fault."""
+def _survey(samples: Samples, norm: Norm) -> tuple[Array, Array, Array, Array, list[tuple[Array, Array]]]:
+    """Bad weights, usable samples, those of them that the norm sees, all weight, and (count, first) of every fault."""
     weight = samples.weight
     used = weight > 0
     directions = jnp.concatenate([samples.wi, samples.wo], axis=1)
@@ -51,12 +55,14 @@ def _survey(samples: Samples, norm: Norm) -> tuple[Array, Array, Array, list[tup
         ~jnp.all(jnp.isfinite(directions), axis=1),
         # Looser than any rounding, tighter than any angle that was forgotten to be converted.
         jnp.any(jnp.abs(lengths - 1) > 1e-3, axis=0),
-        (samples.wi[:, 2] < 0) | (samples.wo[:, 2] < 0),
+        # cos 90° is -4e-8 in float32: a grid that ends there ends on the horizon, not below it.
+        (samples.wi[:, 2] < -1e-6) | (samples.wo[:, 2] < -1e-6),
     )
     return (
         jnp.sum(~jnp.isfinite(weight) | (weight < 0)),
         jnp.sum(used),
         jnp.sum(used & (norm.judge_weight(samples.wi, samples.wo) > 0)),
+        jnp.sum(weight),
         # A sentinel lets argmax find something among no samples at all.
         [(jnp.sum(fault & used), jnp.argmax(jnp.append(fault & used, True))) for fault in faults],
     )

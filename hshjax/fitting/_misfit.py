@@ -14,7 +14,8 @@ from hshjax.samples import Samples
 def relative_error(brdf: PairFunction, samples: Samples, norm: str = "D") -> Float[Array, " channels"]:
     """sqrt(Σ w |ρ - ρ̂|² / Σ w |ρ|²) per channel, in the judge's weight of the norm "A" ... "E" (see `NORMS`).
 
-    Any BRDF against any samples: a fit on those it has not seen, say. Weight 0 masks a sample. In bounded memory.
+    Any BRDF against any samples: a fit on those it has not seen, say. Weight 0 masks a sample. NaN where no sample
+    counts, as norm E beyond 80 degrees. In bounded memory.
     """
     error, size = misfit(brdf, samples, norm)
     return ratio(error, size)
@@ -22,8 +23,8 @@ def relative_error(brdf: PairFunction, samples: Samples, norm: str = "D") -> Flo
 
 @jax.jit
 def ratio(error: Float[Array, " channels"], size: Float[Array, " channels"]) -> Float[Array, " channels"]:
-    """error / size, and 0 for a black channel that is met exactly."""
-    return jnp.where(error == 0, 0, error / jnp.where(error == 0, 1, size))
+    """error / size; 0 for a black channel that is met exactly, NaN where nothing was compared."""
+    return jnp.where(error == 0, error, error / jnp.where(error == 0, 1, size))
 
 
 @eqx.filter_jit
@@ -40,5 +41,6 @@ def misfit(
         return sums + jnp.stack([matmul(weight, error**2), matmul(weight, value**2)])
 
     sums = fold(samples, ROWS, jnp.zeros((2, samples.channels), samples.value.dtype), visit)
-    error, size = jnp.sqrt(sums)
+    compared = jnp.any(samples.weight * judge.judge_weight(samples.wi, samples.wo) > 0)
+    error, size = jnp.where(compared, jnp.sqrt(sums), jnp.nan)
     return error, size

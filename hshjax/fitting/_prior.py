@@ -22,7 +22,7 @@ def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior | None) -> Floa
     if not ridge >= 0:
         raise ValueError(f"ridge must be >= 0, got {ridge}")
     if prior is None:
-        diagonal = np.ones(len(basis.modes))
+        diagonal = np.ones(basis.count)
     elif isinstance(prior, str):
         if prior != "spectral":
             raise ValueError(f'prior must be None, "spectral" or an array (modes,), got {prior!r}')
@@ -30,9 +30,9 @@ def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior | None) -> Floa
         diagonal = np.sum(orders * (orders + 1), axis=1) ** 2
     else:
         diagonal = np.asarray(prior, np.float64)
-        if diagonal.shape != (len(basis.modes),) or not np.all(diagonal >= 0):
+        if diagonal.shape != (basis.count,) or not np.all(diagonal >= 0):
             raise ValueError(
-                f"prior must hold one number >= 0 for each of the {len(basis.modes)} modes, got shape {diagonal.shape}"
+                f"prior must hold one number >= 0 for each of the {basis.count} modes, got shape {diagonal.shape}"
             )
     if ridge == 0:
         if prior is not None:

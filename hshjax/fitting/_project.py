@@ -19,7 +19,7 @@ from jax.scipy.linalg import solve_triangular
 
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis, IsotropicBasis
-from hshjax.bases._base import common_dtype, matmul
+from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS, fold
 from hshjax.fitting._checks import check_determined, check_samples
@@ -28,9 +28,13 @@ from hshjax.fitting._misfit import misfit, ratio
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._result import Fit
+from hshjax.geometry import common_dtype
 from hshjax.metrics import ReciprocityError, reciprocity_error
 from hshjax.quadrature import PairRule
 from hshjax.samples import Samples
+
+WHOLE = (2 * np.pi) ** 2
+"""Solid angle of both hemispheres together [sr²]: what the weights of a whole rule add up to."""
 
 SEARCHED = 200_000
 """Samples up to which the data's own reciprocity is measured unasked."""
@@ -59,26 +63,34 @@ def project(
       the constant free and damps fine detail; an array `(modes,)` >= 0 is taken as it is. Scattered data never cover
       the grazing band: a small spectral ridge keeps the unseen directions tame. Γ is not scaled by the number of
       samples.
-    - `covariance`: also the posterior covariance of the coefficients.
+    - `covariance`: also the posterior covariance of the coefficients, and the noise to multiply it by (NaN where there
+      are no more samples than unknowns).
     - `reciprocity`: also the violation of reciprocity in the data (a search among all samples, on the host) and in the
       model. By default up to 200 000 samples, where it takes under a second.
 
     **Returns:** a `Fit`. Beside the samples, memory holds a few blocks and two matrices of unknowns x unknowns.
 
     **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
-    for weights that are negative or all zero; for fewer samples than unknowns, or samples that do not determine the
-    unknowns, without a ridge. Inside `jax.jit` values cannot be seen: there an undetermined fit returns coefficients
-    that are not finite, and reciprocity is not measured.
+    for weights that are negative or all zero; for isotropic samples and a basis that is not; for fewer samples than
+    unknowns, or samples that do not determine the unknowns, without a ridge. Inside `jax.jit` values cannot be seen:
+    there an undetermined fit returns coefficients that are not finite, samples with a `degree` are taken for the whole
+    rule, and reciprocity is not measured.
     """
     chosen = named_norm(norm)
     gamma = penalty(basis, ridge, prior)
-    unknowns = len(basis.modes)
+    unknowns = basis.count
     visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
     samples = _in_one_dtype(samples)
+    if samples.isotropic and not isinstance(basis, IsotropicBasis):
+        raise ValueError(
+            f"isotropic samples say nothing of how {basis} depends on φ_i + φ_o: fit an IsotropicBasis; "
+            "`hshjax.bases.convert` embeds it"
+        )
+    used, total = samples.size, WHOLE
     if visible:
-        check_samples(samples, chosen, unknowns, ridged=gamma is not None)
+        used, total = check_samples(samples, chosen, unknowns, ridged=gamma is not None)
 
-    inner = not covariance and chosen.orthonormal and _exact(basis, samples)
+    inner = not covariance and chosen.orthonormal and _exact(basis, samples, total)
     if inner:
         coefficients = _inner_products(basis, chosen, samples)
         condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
@@ -110,7 +122,7 @@ def project(
         condition,
         norm=norm,
         method="inner products" if inner else "QR",
-        samples=samples.size,
+        samples=used,
         unknowns=unknowns,
         reciprocity_before=before,
         reciprocity_after=after,
@@ -125,10 +137,12 @@ def _in_one_dtype(samples: Samples) -> Samples:
     return Samples(wi, wo, value, weight, samples.degree, samples.isotropic)
 
 
-def _exact(basis: AbstractPairBasis, samples: Samples) -> bool:
-    """Whether the samples' own weights make the Gram matrix of the basis the identity."""
-    exact = samples.degree is not None and samples.degree >= 2 * basis.basis.order
-    return exact and (isinstance(basis, IsotropicBasis) or not samples.isotropic)
+def _exact(basis: AbstractPairBasis, samples: Samples, total: float) -> bool:
+    """Whether the samples' own weights, `total` in all, make the Gram matrix of the basis the identity."""
+    if samples.degree is None or samples.degree < 2 * basis.basis.order or not basis.basis.hemispherical:
+        return False
+    # Samples may have been taken out or masked in spite of their degree. Rounding of a sum is far below sqrt(eps).
+    return abs(total / WHOLE - 1) < 10 * float(jnp.finfo(samples.weight.dtype).eps) ** 0.5
 
 
 def _series(norm: Norm, wi: Array, wo: Array, value: Array) -> Array:
@@ -136,13 +150,19 @@ def _series(norm: Norm, wi: Array, wo: Array, value: Array) -> Array:
     return cosine_power(wi, wo, norm.exponent)[:, None] * value
 
 
+def _rows(unknowns: int) -> int:
+    """Samples a block, such that a block of design rows keeps to some 10 MB."""
+    return max(64, min(ROWS, 2**20 // unknowns))
+
+
 @partial(jax.jit, static_argnums=(0, 1))
 def _inner_products(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "modes channels"]:
     def visit(sums, wi, wo, value, weight):
         return sums + matmul(basis(wi, wo).T, weight[:, None] * _series(norm, wi, wo, value))
 
-    empty = jnp.zeros((len(basis.modes), samples.channels), samples.value.dtype)
-    return fold(samples, ROWS, empty, visit)
+    unknowns = basis.count
+    empty = jnp.zeros((unknowns, samples.channels), samples.value.dtype)
+    return fold(samples, _rows(unknowns), empty, visit)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -151,7 +171,7 @@ def _least_squares(
 ) -> tuple[Array, Array, Array, Array]:
     """Coefficients, condition estimate, R of the data, and the triangular root of BᵀWB + Γ."""
     factor = _factorize(basis, norm, samples)
-    coefficients, condition, root = _solve(factor, gamma, len(basis.modes))
+    coefficients, condition, root = _solve(factor, gamma, basis.count)
     return coefficients, condition, factor, root
 
 
@@ -181,14 +201,14 @@ def _normal_residual(
         misfit = _series(norm, wi, wo, value) - matmul(rows, coefficients)
         return sums + matmul(rows.T, (weight * norm.fit_weight(wi, wo))[:, None] * misfit)
 
-    sums = fold(samples, ROWS, jnp.zeros_like(coefficients), visit)
+    sums = fold(samples, _rows(basis.count), jnp.zeros_like(coefficients), visit)
     return sums if gamma is None else sums - gamma.astype(sums.dtype)[:, None] * coefficients
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "columns columns"]:
     """R of [sqrt(w) B, sqrt(w) f]: everything that least squares needs to know of the samples."""
-    columns = len(basis.modes) + samples.channels
+    columns = basis.count + samples.channels
 
     def visit(factor, wi, wo, value, weight):
         root = jnp.sqrt(weight * norm.fit_weight(wi, wo))[:, None]
@@ -244,7 +264,9 @@ def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -
     # Of the unknowns, tr((BᵀWB + Γ)^-1 BᵀWB) are determined by the data; without a ridge, all.
     determined = jnp.sum(matmul(factor[:, :unknowns], inverse) ** 2)
     freedom = jnp.sum((weight > 0).astype(root.dtype)) - determined
-    return covariance, jnp.sum(misfit**2, axis=0) / freedom
+    # With as many unknowns as samples the residual is rounding, and says nothing of the noise.
+    enough = freedom > 0.5
+    return covariance, jnp.where(enough, jnp.sum(misfit**2, axis=0) / jnp.where(enough, freedom, 1), jnp.nan)
 
 
 def _reciprocity(model: LinearBRDF, samples: Samples) -> tuple[ReciprocityError, ReciprocityError]:

@@ -17,11 +17,12 @@ class Fit(eqx.Module, Generic[Model]):
     - `norm`: name of the norm (see `NORMS`) in which the two figures that follow are meant.
     - `residual`: root of Σ w |ρ - ρ̂|² in that norm, per channel. - `relative`: the same over the root of Σ w |ρ|².
     - `condition`: estimate of the condition number of the weighted design matrix; 1 where inner products were enough.
-    - `method`: "inner products" or "QR". - `samples`, `unknowns`: how many entered, how many were solved for.
+    - `method`: "inner products" or "QR". - `samples`: how many have a weight. - `unknowns`: how many were solved for.
     - `reciprocity_before`: violation in the data, over the pairs of samples that are each other's swap (`pairs` may be
       0). `reciprocity_after`: that of the model, over the directions of the data. None where they were not asked for.
     - `covariance`: `(modes, modes)`, to be multiplied by `noise`, the estimated variance per channel of a sample of
-      weight 1: the posterior of the coefficients for Gaussian noise. None where it was not asked for.
+      weight 1 (of the series that is fitted: of z_i z_o ρ in norm D): the posterior of the coefficients for Gaussian
+      noise. None where it was not asked for.
     """
 
     model: Model

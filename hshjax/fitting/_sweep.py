@@ -109,7 +109,8 @@ def order_sweep(basis: AbstractBasis, table: IsotropicTable, norm: str = "D") ->
                 q = columns[:, :k]
                 error[n, c] += azimuth * np.sum((rejudge * (weighted - q @ core[:k, :k] @ q.T)) ** 2)
     # The rest is a difference of equal sums where the BRDF has no other components: rounding may leave it negative.
-    return np.sqrt((error + np.maximum(rest, 0)) / energy)
+    # A black channel is met exactly.
+    return np.sqrt((error + np.maximum(rest, 0)) / np.where(energy > 0, energy, 1))
 
 
 def _radial_functions(basis: AbstractBasis, z: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -8,6 +8,7 @@ The tree spells a module as {"module": class, "of": home, "fields": {...}}, an a
 {"dict": {...}}, floats that JSON lacks as {"float": "inf"}, and everything else as itself.
 """
 
+import dataclasses
 import importlib.metadata
 import inspect
 import json
@@ -42,6 +43,8 @@ DTYPES = frozenset(
     ]
 )
 MAX_DIMENSIONS = 32
+MAX_ORDER = 512
+"""Of a basis: 263 169 functions of one direction. What a file asks for must not exhaust a machine."""
 MAX_EMPTY = 2**31
 """Elements that an empty array would have if its empty axes had length 1."""
 
@@ -187,7 +190,7 @@ class _Writer:
 
 def _field_names(cls: type, where: str) -> tuple[str, ...]:
     """The fields of a module class; TypeError unless its constructor takes exactly them, by name."""
-    names = tuple(cls.__dataclass_fields__)
+    names = tuple(field.name for field in dataclasses.fields(cls))
     parameters = inspect.signature(cls).parameters
     if set(parameters) != set(names):
         raise TypeError(
@@ -231,10 +234,13 @@ class _Reader:
         if cls is None:
             known = "a public class of hshjax.bases or hshjax.brdfs, or one given by types=(...)"
             raise self.error(where, known, f"{name!r} of {home!r}")
-        names = set(cls.__dataclass_fields__)
+        names = {field.name for field in dataclasses.fields(cls)}
         if set(fields) != names:
             raise self.error(f"{where}, {name}", f"the fields {sorted(names)}", f"{sorted(fields)}")
         values = {field: self.decode(node, f"{where}.{field}") for field, node in fields.items()}
+        order = values.get("order")
+        if home == LIBRARY and isinstance(order, int) and order > MAX_ORDER:
+            raise self.error(f"{where}.order", f"an order of at most {MAX_ORDER}", str(order))
         try:
             return cls(**values)
         except Exception as error:

@@ -264,3 +264,17 @@ def test_order_32_compiles_within_a_second(basis, verb):
         if seconds[-1] < 1:
             break
     assert min(seconds) < 1, f"{seconds} s"
+
+
+@every_basis
+def test_integer_directions_are_directions(name, unchecked):
+    basis = EVERY_BASIS[name](2)
+    assert_close(basis(jnp.asarray([0, 0, 1])), basis(jnp.asarray([0, 0, 1], DTYPE)))
+    with pytest.raises(ValueError, match=r"got shape \(4, 2\)"):
+        basis(jnp.zeros((4, 2), DTYPE))
+
+
+@every_basis
+@pytest.mark.parametrize("order", [0, 1, 2, 5, 8])
+def test_the_count_is_that_of_the_modes(name, order):
+    assert EVERY_BASIS[name](order).count == len(EVERY_BASIS[name](order).modes)

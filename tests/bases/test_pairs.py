@@ -274,3 +274,9 @@ def test_wrong_coefficients_are_named(name):
     k = len(pairs.modes)
     with pytest.raises(ValueError, match=rf"must have shape \({k}, \*channels\), got \({k - 1},\)"):
         pairs.evaluate(jnp.zeros(k - 1, DTYPE), wi, wo)
+
+
+@pytest.mark.parametrize("name", ALL_PAIRS)
+@pytest.mark.parametrize("order", [0, 1, 3, 4])
+def test_the_count_is_that_of_the_modes(name, order):
+    assert make(name, order).count == len(make(name, order).modes)

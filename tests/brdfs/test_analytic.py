@@ -18,6 +18,7 @@ from hshjax.brdfs import (
     DielectricFresnel,
     Lambert,
     OrenNayar,
+    ScaledBRDF,
     SchlickFresnel,
     Ward,
 )
@@ -89,7 +90,7 @@ def test_reciprocity(brdf):
 
 @each_brdf
 def test_non_negative(brdf):
-    wi, wo = directions(2, 2000), directions(3, 2000)
+    wi, wo = directions(2, 500), directions(3, 500)
     assert jnp.all(brdf(wi, wo) >= 0)
     assert jnp.any(brdf(wi, wo) > 0)
 
@@ -132,14 +133,16 @@ def test_albedo_exceptions_are_as_documented():
 def test_zero_with_zero_gradient_below_the_horizon(brdf):
     up, down = unit(0.5), jnp.asarray([0.6, 0.0, -0.8], DTYPE)
     flat = jnp.asarray([1.0, 0.0, 0.0], DTYPE)
-    for wi, wo in ((up, down), (down, up), (down, down), (flat, up), (up, flat)):
-        assert jnp.all(brdf(wi, wo) == 0)
-        gradient = jax.jacrev(lambda b, i, o: b(i, o), argnums=(1, 2))(brdf, wi, wo)
-        assert all(jnp.all(leaf == 0) for leaf in gradient)
+    wi, wo = jnp.stack([up, down, down, flat, up]), jnp.stack([down, up, down, up, flat])
+    assert jnp.all(brdf(wi, wo) == 0)
+    gradient = jax.jit(jax.jacrev(lambda b, i, o: b(i, o), argnums=(0, 1, 2)))(brdf, wi, wo)
+    assert all(jnp.all(leaf == 0) for leaf in jax.tree.leaves(gradient))
 
 
-@each_formula
-def test_shapes_batches_and_transformations(brdf):
+# What a formula knows of shapes, it knows by `per_channel` and `cosines`.
+@pytest.mark.parametrize("name", ["lambert_rgb", "oren_nayar_full", "cook_torrance_rgb", "ward", "sum"])
+def test_shapes_batches_and_transformations(name):
+    brdf = ALL_BRDFS[name]
     wi, wo = directions(4, 5, 4), directions(5, 5, 4)
     value = brdf(wi, wo)
     channels = value.shape[-1]
@@ -156,7 +159,7 @@ def test_shapes_batches_and_transformations(brdf):
 @pytest.mark.skipif(not X64, reason="needs float64 to compare with")
 @each_formula
 def test_float32_agrees(brdf):
-    wi, wo = directions(6, 300, min_z=0.05), directions(7, 300, min_z=0.05)
+    wi, wo = directions(6, 500, min_z=0.05), directions(7, 500, min_z=0.05)
     single = brdf(wi.astype(jnp.float32), wo.astype(jnp.float32))
     assert single.dtype == jnp.float32
     # Rounded inputs, 6e-8, times the logarithmic slope of a lobe: up to 2 tan θ_h / (m² cos²θ_h) there, a few hundred.
@@ -308,7 +311,7 @@ def blinn_phong(wi, wo, specular, n):
     ids=["cook_torrance", "ggx", "ggx_height", "oren_nayar", "oren_nayar_full", "ward", "ward_original", "blinn_phong"],
 )
 def test_value_against_the_formula_in_angles(brdf, formula, arguments):
-    wi, wo = directions(11, 200, min_z=0.05), directions(12, 200, min_z=0.05)
+    wi, wo = directions(11, 500, min_z=0.05), directions(12, 500, min_z=0.05)
     expected = [formula(i, o, *arguments) for i, o in zip(wi, wo, strict=True)]
     # float32: rounded s = wi + wo times the slope of the lobe, as above.
     assert_close(brdf(wi, wo)[:, 0], expected, tolerance=TOLERANCE if X64 else 1e-4)
@@ -317,7 +320,7 @@ def test_value_against_the_formula_in_angles(brdf, formula, arguments):
 @each_fresnel
 @pytest.mark.parametrize("make", [lambda f: CookTorrance(0.0, 0.9, 0.3, f), lambda f: GGX(0.9, 0.3, f)])
 def test_fresnel_multiplies_at_the_half_angle(fresnel, make):
-    wi, wo = directions(13, 100, min_z=0.05), directions(14, 100, min_z=0.05)
+    wi, wo = directions(13, 500, min_z=0.05), directions(14, 500, min_z=0.05)
     cosine = jnp.sqrt(jnp.maximum((1 + jnp.sum(wi * wo, -1)) / 2, 0))  # half-angle formula
     assert_close(make(fresnel)(wi, wo), make(ConstantFresnel())(wi, wo) * fresnel(cosine))
 
@@ -349,12 +352,12 @@ def test_blinn_phong_albedo_is_specular_at_normal_incidence_and_less_elsewhere(e
 
 @pytest.mark.parametrize("full", [False, True])
 def test_oren_nayar_without_roughness_is_lambert(full):
-    wi, wo = directions(15, 100), directions(16, 100)
+    wi, wo = directions(15, 500), directions(16, 500)
     assert_close(OrenNayar(RGB, 0.0, full=full)(wi, wo), Lambert(RGB)(wi, wo))
 
 
 def test_height_correlation_shadows_less():
-    wi, wo = directions(17, 1000), directions(18, 1000)
+    wi, wo = directions(17, 500), directions(18, 500)
     assert jnp.all(
         GGX(1.0, 0.5, height_correlated=True)(wi, wo) >= GGX(1.0, 0.5)(wi, wo) * (1 - 10 * jnp.finfo(DTYPE).eps)
     )
@@ -457,3 +460,27 @@ def test_ensembles_by_vmap():
     values = eqx.filter_vmap(lambda brdf: brdf(wi, wo))(ensemble)
     expected = jnp.stack([CookTorrance(0.1, 0.5, m, SchlickFresnel(0.04))(wi, wo) for m in slopes])
     assert_close(values, expected)
+
+
+@each_formula
+def test_integer_directions_are_directions(brdf, unchecked):
+    pole = [0, 0, 1]
+    assert_close(brdf(jnp.asarray(pole), unit(0.3)), brdf(unit(0.0), unit(0.3)))
+    assert_close(brdf(jnp.asarray(pole), jnp.asarray(pole)), brdf(unit(0.0), unit(0.0)))
+
+
+def test_angles_in_place_of_directions_are_refused(unchecked):
+    with pytest.raises(ValueError, match=r"directions are unit vectors \(\*batch, 3\), got shape \(5, 2\)"):
+        Lambert(0.5)(jnp.zeros((5, 2), DTYPE), directions(0, 5))
+
+
+def test_an_array_of_factors_makes_one_brdf(unchecked):
+    brdf = np.array([0.1, 0.2, 0.3]) * Lambert(0.5)
+    assert brdf(unit(0.2), unit(0.3)).shape == (3,)
+    with pytest.raises(ValueError, match=r"scale of shape \(\) or \(channels,\), got \(2, 3\)"):
+        np.ones((2, 3)) * Lambert(0.5)
+
+
+def test_sums_and_multiples_are_of_brdfs(unchecked):
+    with pytest.raises(ValueError, match="a multiple of a BRDF needs a BRDF, got None"):
+        ScaledBRDF(None, jnp.ones(()))

@@ -2,15 +2,17 @@
 
 from functools import lru_cache
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike
+from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, SphericalHarmonics, TensorBasis, Zernike
 from hshjax.brdfs import LinearBRDF, OrenNayar
-from hshjax.fitting import NORMS, _project, project
+from hshjax.fitting import NORMS, _project, project, relative_error
 from hshjax.fitting._blocks import fold
+from hshjax.geometry import direction
 from hshjax.quadrature import isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 from tests.fitting import oracle
@@ -135,7 +137,7 @@ def test_a_rule_that_is_not_exact_enough_is_solved_by_qr():
 def test_isotropic_nodes_do_not_determine_a_basis_that_is_not():
     rule = isotropic_pair_rule(8, dtype=DTYPE)
     samples = Samples.from_function(OrenNayar(0.5, 0.3), rule)
-    with pytest.raises(ValueError, match="do not determine the 21 unknowns"):
+    with pytest.raises(ValueError, match=r"say nothing of how HelmholtzBasis.* fit an IsotropicBasis"):
         project(SMALL, samples)
 
 
@@ -541,3 +543,40 @@ def test_dtypes_follow_the_samples():
     assert_close(fit.model.coefficients, expected.model.coefficients, tolerance=tolerance)
     mixed = Samples(samples.wi, single.wo, single.value, single.weight)
     assert project(SMALL, mixed, norm="A", reciprocity=False).model.coefficients.dtype == jnp.float64
+
+
+def test_a_part_of_a_rule_is_no_rule():
+    """Who slices or masks the arrays of samples leaves `degree` behind: the weights tell."""
+    rule = fine_rule(SMALL)
+    whole = Samples.from_function(LinearBRDF(SMALL, coefficients_of(SMALL), "foreshortened"), rule)
+    masked = eqx.tree_at(lambda s: s.weight, whole, jnp.where(rule.wi[:, 2] > 0.05, rule.weight, 0))
+    for part in (jax.tree.map(lambda a: a[::2], whole), masked):
+        fit = project(SMALL, part, reciprocity=False)
+        assert fit.method == "QR"
+        assert_coefficients(fit, oracle.least_squares(SMALL, part, "D"))
+        assert fit.samples == int(jnp.sum(part.weight > 0))
+
+
+def test_a_basis_of_the_sphere_has_no_inner_products_on_the_hemisphere():
+    basis = IsotropicBasis(SphericalHarmonics(1))
+    samples = Samples.from_function(OrenNayar(0.5, 0.3), isotropic_pair_rule(8, dtype=DTYPE))
+    assert project(basis, samples, reciprocity=False).method == "QR"
+
+
+def test_no_noise_is_known_where_every_sample_is_met():
+    count = IsotropicBasis(HSH(1)).count
+    samples = scattered(IsotropicBasis(HSH(1)), "C", count)
+    fit = project(IsotropicBasis(HSH(1)), samples, norm="C", covariance=True, reciprocity=False)
+    assert jnp.all(jnp.isnan(fit.noise))
+
+
+def test_nothing_compared_is_no_agreement():
+    grazing = jnp.asarray([[np.sqrt(1 - 0.05**2), 0, 0.05]], DTYPE)
+    samples = Samples.scattered(grazing, grazing, jnp.ones((1, 1), DTYPE))
+    assert jnp.isnan(relative_error(OrenNayar(0.5, 0.3), samples, "E")[0])
+
+
+def test_ninety_degrees_in_float32_are_the_horizon():
+    wi = direction(jnp.radians(jnp.asarray([0.0, 30.0, 60.0, 90.0], jnp.float32)), jnp.zeros(4, jnp.float32))
+    samples = Samples.scattered(wi, wi[::-1], jnp.ones((4, 1), jnp.float32))
+    assert project(IsotropicBasis(HSH(0)), samples, norm="C").samples == 4

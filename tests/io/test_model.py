@@ -200,6 +200,37 @@ MALFORMED = {
     "a missing field": ({"tree": {"module": "HSH", "of": "hshjax", "fields": {}}}, r"fields \['order'\], got \[\]"),
     "a field too many": ({"tree": {"module": "HSH", "of": "hshjax", "fields": {"order": 1, "x": 2}}}, "'x'"),
     "a value that fails": ({"tree": {"module": "HSH", "of": "hshjax", "fields": {"order": -1}}}, "order must be"),
+    "an order that nothing can hold": (
+        {"tree": {"module": "HSH", "of": "hshjax", "fields": {"order": 10**9}}},
+        "model.order: expected an order of at most 512",
+    ),
+    "more functions than coefficients": (
+        {
+            "tree": {
+                "module": "LinearBRDF",
+                "of": "hshjax",
+                "fields": {
+                    "basis": {
+                        "module": "HelmholtzBasis",
+                        "of": "hshjax",
+                        "fields": {"basis": {"module": "HSH", "of": "hshjax", "fields": {"order": 300}}},
+                    },
+                    "coefficients": F4 | {"shape": [1, 1]},
+                    "target": "brdf",
+                },
+            },
+            "blob": b"1234",
+        },
+        r"must have shape \(4104315901, channels\)",
+    ),
+    "a basis that is none": (
+        {"tree": {"module": "HelmholtzBasis", "of": "hshjax", "fields": {"basis": "evil"}}},
+        "needs a basis of single directions, got 'evil'",
+    ),
+    "a sum of nothing": (
+        {"tree": {"module": "SumBRDF", "of": "hshjax", "fields": {"a": None, "b": None}}},
+        "a sum of BRDFs needs BRDFs",
+    ),
     "no module": ({"tree": [3]}, "expected a value or a tagged object, got list"),
     "a bare number": ({"tree": 3}, "line 1, model: expected a module, got int"),
     "an unknown tag": ({"tree": {"python": "exit()"}}, r"keys \['python'\]"),
@@ -208,7 +239,7 @@ MALFORMED = {
 
 
 @pytest.mark.parametrize("case", MALFORMED)
-def test_malformed_files_are_refused_with_the_place(case, tmp_path):
+def test_malformed_files_are_refused_with_the_place(case, tmp_path, unchecked):
     content, match = MALFORMED[case]
     write(tmp_path / "bad.model", **content)
     with pytest.raises(FileFormatError, match=f"bad.model: .*{match}"):

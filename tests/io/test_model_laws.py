@@ -42,5 +42,5 @@ def test_there_and_back(name, tmp_path):
     for a, b in zip(leaves, loaded_leaves, strict=True):
         assert (type(a), a.dtype, a.shape) == (type(b), b.dtype, b.shape)
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
-    wi, wo = directions(0, 20), directions(1, 20)
+    wi, wo = directions(0, 500), directions(1, 500)
     assert np.array_equal(model(wi, wo), loaded(wi, wo))
