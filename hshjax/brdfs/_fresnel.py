@@ -12,12 +12,15 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, Real
 from hshjax.brdfs._base import bounded
+from hshjax.brdfs._parameters import check_parameters
 
 
 class AbstractFresnel(eqx.Module):
     """F(cos θ_d): cosines `(*batch,)` in [0, 1] to reflectances `(*batch, channels)`, in the dtype of the cosines.
 
     Parameters are scalars (one channel) or `(channels,)`.
+
+    **Raises:** ValueError for parameters of other shapes.
     """
 
     @abc.abstractmethod
@@ -59,6 +62,9 @@ class SchlickFresnel(AbstractFresnel):
 
     f0: Real = bounded(0.0, 1.0)
 
+    def __check_init__(self):
+        check_parameters(self, spectra=("f0",))
+
     def formula(self, cosine):
         return self.f0 + (1 - self.f0) * (1 - cosine) ** 5
 
@@ -72,6 +78,9 @@ class DielectricFresnel(AbstractFresnel):
     """
 
     eta: Real = bounded(0.25, 4.0)
+
+    def __check_init__(self):
+        check_parameters(self, spectra=("eta",))
 
     def formula(self, cosine):
         square = self.eta**2 - 1 + cosine**2  # (eta cos θ_t)², by Snell's law
@@ -90,6 +99,9 @@ class ConductorFresnel(AbstractFresnel):
 
     eta: Real = bounded(0.01, 10.0)
     k: Real = bounded(0.0, 20.0)
+
+    def __check_init__(self):
+        check_parameters(self, spectra=("eta", "k"))
 
     def formula(self, cosine):
         sine2 = (1 - cosine) * (1 + cosine)

@@ -20,6 +20,8 @@ class RGLTable(TabulatedBRDF):
 
     Build it with `from_tables`. Last axes of tables: (azimuth, elevation); `values` [sr^-1, with the cosine of wo].
 
+    **Raises:** ValueError for tables that do not fit each other: lookups past an end would be clamped, not told.
+
     Source: Dupuy and Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, ACM TOG
     37(6), 2018. That wi is the direction of incidence of the tables was settled against Mitsuba 3 (`measured`).
     """
@@ -36,6 +38,24 @@ class RGLTable(TabulatedBRDF):
     channel_names: tuple[str, ...] = eqx.field(static=True, default=("R", "G", "B"))
     unmeasured: int | None = eqx.field(static=True, default=None)
     """Entries of one channel of `values` that the database filled in (its `valid` mask); None if it does not say."""
+
+    def __check_init__(self):
+        slices, azimuths, elevations = self.density.shape
+        rows, columns = self.values.shape[-2:]
+        expected = {
+            "theta_i": (slices,),
+            "conditional": (slices, azimuths, elevations),
+            "row": (slices, azimuths),
+            "marginal": (slices, azimuths),
+            "values": (slices, len(self.channel_names), rows, columns),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(
+                    f"{name} of a table of {slices} slices must be {shape}, got {getattr(self, name).shape}"
+                )
+        if min(slices, azimuths, elevations, rows, columns, *self.sigma.shape, *self.ndf.shape) < 2:
+            raise ValueError("tables need two entries along every axis to interpolate between")
 
     @classmethod
     def from_tables(

@@ -445,6 +445,9 @@ def test_schlick_ends_and_closeness_to_the_exact_curve():
         (lambda: CookTorrance(RGB, 0.2, RGB), "slope"),
         (lambda: Ward(0.5, 0.2, RGB), "alpha_y"),
         (lambda: ConstantFresnel(1.5), r"\[0, 1\]"),
+        (lambda: SchlickFresnel(np.ones((2, 3))), "f0 of shape"),
+        (lambda: DielectricFresnel(np.ones((2, 3))), "eta of shape"),
+        (lambda: ConductorFresnel(np.ones(2), np.ones(3)), "channels"),
     ],
 )
 def test_wrong_parameters_are_told(make, message):

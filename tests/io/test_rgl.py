@@ -1,5 +1,7 @@
 """RGL materials: against Mitsuba's evaluation, and against files that are none."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -143,6 +145,14 @@ def test_gradient_reaches_the_table(brdf):
     assert_close(
         jnp.sum(gradient.values * brdf.values), jnp.sum(evaluate(brdf, wi, wo)), tolerance=1e-9 if X64 else 1e-3
     )
+
+
+def test_tables_that_do_not_fit_are_refused(brdf):
+    for name, message in (("marginal", "marginal of a table of .* must have shape"), ("values", "values of a table")):
+        parts = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf)}
+        parts[name] = parts[name][:-1]
+        with pytest.raises(ValueError, match=message):
+            type(brdf)(**parts)
 
 
 def test_samples(brdf):
