@@ -29,6 +29,8 @@ def incident_plane(
 
     Negative values, which a polar plot cannot show, are drawn as 0; the legend says how deep they go.
     """
+    from matplotlib.ticker import MaxNLocator
+
     theta = np.linspace(-max_theta, max_theta, 641)
     wi = direction(jnp.asarray(theta_i), jnp.asarray(np.pi))
     wo = direction(jnp.asarray(theta), jnp.zeros(theta.size))
@@ -44,7 +46,7 @@ def incident_plane(
     axes.set_theta_direction(-1)
     axes.set_thetalim(-np.pi / 2, np.pi / 2)
     axes.set_rlim(0, top)
-    axes.set_rticks(np.linspace(0, top, 5)[1:-1], [f"{r:.2g}" for r in np.linspace(0, top, 5)[1:-1]])
+    axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10], prune="both"))
     axes.tick_params(labelsize=8)
 
 
