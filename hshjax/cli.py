@@ -119,6 +119,8 @@ def _read(file: Path) -> tuple:
     try:
         with file.open("rb") as stream:
             head = stream.read(11)
+        if head != b"tensor_file" and not head.startswith(b"{"):
+            raise _exit(f"{file}: expected an RGL material (tensor_file) or a saved model, got a file of {head!r}...")
         brdf = read_rgl(file) if head == b"tensor_file" else load_model(file)
     except (OSError, ValueError) as error:
         raise _exit(str(error)) from error

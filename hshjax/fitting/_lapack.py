@@ -11,8 +11,8 @@ THREADED_COLUMNS = 512
 def suited_threads(columns: int) -> Iterator[None]:
     """On the CPU, XLA's QR is SciPy's LAPACK, whose threads spin while they wait.
 
-    A block of some thousand rows and 169 columns takes 31 ms with one thread. With two it takes no less on an idle
-    machine, and 360 ms where other processes have work for the same cores (benchmarks/qr_threads.py).
+    A block of 4264 rows and 168 columns takes 36 ms with one thread and 47 ms with two on an idle machine of two cores;
+    where other processes have work for the same cores, 110 ms and 626 ms (benchmarks/qr_threads.py).
     """
     if columns >= THREADED_COLUMNS:
         yield
