@@ -52,7 +52,7 @@ class RGLTable(TabulatedBRDF):
         for name, shape in expected.items():
             if getattr(self, name).shape != shape:
                 raise ValueError(
-                    f"{name} of a table of {slices} slices must be {shape}, got {getattr(self, name).shape}"
+                    f"{name} of a table of {slices} slices must have shape {shape}, got {getattr(self, name).shape}"
                 )
         if min(slices, azimuths, elevations, rows, columns, *self.sigma.shape, *self.ndf.shape) < 2:
             raise ValueError("tables need two entries along every axis to interpolate between")

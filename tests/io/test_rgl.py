@@ -147,7 +147,7 @@ def test_gradient_reaches_the_table(brdf):
     )
 
 
-def test_tables_that_do_not_fit_are_refused(brdf):
+def test_tables_that_do_not_fit_are_refused(brdf, unchecked):
     for name, message in (("marginal", "marginal of a table of .* must have shape"), ("values", "values of a table")):
         parts = {field.name: getattr(brdf, field.name) for field in dataclasses.fields(brdf)}
         parts[name] = parts[name][:-1]
