@@ -11,7 +11,7 @@ Both are loops inside the compiled program, so compile time does not grow with t
 longest (reverse differentiable too; the padding multiplies zeros). `blockwise` keeps the working set in the cache.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -37,7 +37,7 @@ class RadialTables(NamedTuple):
 
 
 def radial_tables(
-    counts: list[int],
+    counts: Sequence[int],
     first_norm: Callable[[int], float],
     jacobi: Callable[[int, int], tuple[np.ndarray, np.ndarray]],
 ) -> RadialTables:

@@ -4,6 +4,7 @@ import os
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 X64 = os.environ.get("HSHJAX_TEST_DTYPE", "float64") == "float64"
 DTYPE = jnp.float64 if X64 else jnp.float32
@@ -23,3 +24,13 @@ def directions(seed: int, *shape: int, min_z: float = 0.0):
     phi = rng.uniform(0, 2 * np.pi, shape)
     rim = np.sqrt(1 - z**2)
     return jnp.asarray(np.stack([rim * np.cos(phi), rim * np.sin(phi), z], -1), DTYPE)
+
+
+def slow_unless(kept: bool, *values, id: str | None = None):
+    """A parameter set that runs in `make test-slow` only, unless it is `kept`: each costs compilations of its own."""
+    return pytest.param(*values, id=id, marks=() if kept else pytest.mark.slow)
+
+
+def mostly_slow(names, kept):
+    """`names` as parameters; slow but for those that are `kept`."""
+    return [slow_unless(name in kept, name) for name in names]

@@ -205,7 +205,9 @@ def test_nodes_of_weight_zero_do_not_count():
 
 
 def test_a_function_without_channels_has_one():
+    def flat(wi, wo):
+        return wi[..., 2] / jnp.pi
+
     wo = directions(10, 4)
-    flat = lambda wi, wo: wi[..., 2] / jnp.pi  # noqa: E731  one line is all that it is
     assert albedo(flat, wo).shape == (4, 1)
     assert_close(albedo(flat, wo), jnp.full((4, 1), 2 / 3))

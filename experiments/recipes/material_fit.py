@@ -28,9 +28,9 @@ def run(config: Config, record: Record) -> None:
     )
     rows = study(record, "material", brdf, config.fit, config.pictures)
 
-    # θ = 80° is cos θ = 0.1737. Nearer to grazing, tables are extrapolated, and their two sides disagree most.
+    # Beyond the 80° of norm E tables are extrapolated, and their two sides disagree most.
     rule = hshjax.isotropic_pair_rule(32)
-    inside = (rule.wi[:, 2] > 0.1737) & (rule.wo[:, 2] > 0.1737)
+    inside = hshjax.NORMS["E"].judge_weight(rule.wi, rule.wo) > 0
     whole = hshjax.reciprocity_error(brdf, rule)
     part = hshjax.reciprocity_error(brdf, rule._replace(weight=rule.weight * inside))
     record.metric("reciprocity violation, all angles", whole.relative, note="of the measurement")

@@ -48,7 +48,7 @@ def run(config: Config, record: Record) -> None:
     for label, order, basis, work in cases:
         seconds = times[label, work]
         rows.append({
-            "work": work, "HSH order": order, "contestant": label.split(" | ")[1], "coefficients": len(basis.modes),
+            "work": work, "HSH order": order, "contestant": label.split(" | ")[1], "coefficients": basis.count,
             "median [ns a point]": 1e9 * statistics.median(seconds) / config.points,
             "least [ns a point]": 1e9 * min(seconds) / config.points,
         })  # fmt: skip
@@ -86,7 +86,7 @@ def run(config: Config, record: Record) -> None:
     record.table("times", rows, f"{config.points} points a call, {config.dtype}; all repeats are in `times.json`.")
     # No times among the metrics: those are what the same seed repeats.
     for label, _, basis, work in cases:
-        record.metric(f"{work}, {label}", len(basis.modes), note="coefficients")
+        record.metric(f"{work}, {label}", basis.count, note="coefficients")
 
 
 WORKS = ("sum", "rows", "isotropic pair sum")
@@ -99,7 +99,7 @@ def _cases(order: int) -> list[tuple[str, int, Any, str]]:
         wrap = IsotropicBasis if work == "isotropic pair sum" else (lambda basis: basis)
         hsh = wrap(HSH(order))
         equal = order
-        while len(wrap(Zernike(equal + 1)).modes) <= len(hsh.modes):
+        while wrap(Zernike(equal + 1)).count <= hsh.count:
             equal += 1
         cases += [
             (f"order {order} | HSH", order, hsh, work),
@@ -111,7 +111,7 @@ def _cases(order: int) -> list[tuple[str, int, Any, str]]:
 
 def _call(basis, work: str, rng: np.random.Generator, wi, wo):
     """A compiled call that has run once."""
-    coefficients = jnp.asarray(rng.standard_normal(len(basis.modes)), wi.dtype)
+    coefficients = jnp.asarray(rng.standard_normal(basis.count), wi.dtype)
     if work == "rows":
         compiled, arguments = jax.jit(lambda w: basis(w)), (wi,)
     elif work == "sum":

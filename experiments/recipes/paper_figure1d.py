@@ -44,7 +44,7 @@ def run(config: Config, record: Record) -> None:
 
     record.paragraph(
         f"Figure 1(d) of the paper shows its basis (Eq. 2) up to order {config.order} at the incident direction "
-        f"({config.theta_i:g}°, {config.phi_i:g}°). Here are all {len(pairs.modes)} functions of that order over "
+        f"({config.theta_i:g}°, {config.phi_i:g}°). Here are all {pairs.count} functions of that order over "
         "unordered pairs, with N = 1/sqrt(2 (1 + δ)): the paper leaves the factor open and its series runs over "
         f"ordered pairs, which would show every function off the diagonal twice. {vanishing} of them vanish "
         "identically at this direction, because both of their factors do: sines in the azimuth at φi = 0, and at z = "
@@ -62,7 +62,7 @@ def run(config: Config, record: Record) -> None:
     heads = [f"({n},{m})".replace("-", "\N{MINUS SIGN}") for n, m in modes]
     record.figure(
         "sheet", lobes.sheet(places, heads),
-        f"All {len(pairs.modes)} functions: (n, m) by column, (p, q) by row. A small circle marks one that vanishes.",
+        f"All {pairs.count} functions: (n, m) by column, (p, q) by row. A small circle marks one that vanishes.",
     )  # fmt: skip
     degrees = pairs.degrees()
     record.heading("By pair of orders")
@@ -81,7 +81,7 @@ def run(config: Config, record: Record) -> None:
         ],
         "Extreme values over wo [sr⁻¹].",
     )
-    record.metric("functions", len(pairs.modes))
+    record.metric("functions", pairs.count)
     record.metric("vanishing", vanishing, note="at this incident direction")
     record.metric("largest value", float(largest.max()), "sr^-1")
 

@@ -102,7 +102,7 @@ def _noise(config: Config, record: Record) -> list[dict[str, Any]]:
                 approximation = _size(weight, fit[:, 0] - truth)
                 for k, (kind, level) in enumerate(((kind, level) for kind in KINDS for level in config.levels), 1):
                     rows.append({
-                        "brdf": TITLES[name], "order": order, "basis": label, "coefficients": len(basis.modes),
+                        "brdf": TITLES[name], "order": order, "basis": label, "coefficients": basis.count,
                         "noise": kind, "level": level,
                         "violation before": _violation(weight, noisy[:, k]),
                         "violation after": _violation(weight, fit[:, k]),
@@ -163,7 +163,7 @@ def _measured(config: Config, paths: list[str]) -> list[dict[str, Any]]:
             fit_swapped = np.roll(fit_cube.transpose(1, 0, 2, 3)[:, :, ::-1], 1, axis=2)
             change, filtered = size(fit - g) / total, size(reciprocal - g) / total
             rows.append({
-                "material": Path(path).stem, "order": order, "coefficients": len(basis.modes),
+                "material": Path(path).stem, "order": order, "coefficients": basis.count,
                 "violation before": size((cube - swapped).reshape(g.shape)) / total,
                 "violation before, θ < 70°": inner,
                 "violation after": size((fit_cube - fit_swapped).reshape(g.shape)) / size(fit),

@@ -61,10 +61,10 @@ def to_ordered(pairs: HelmholtzBasis, coefficients: Float[Array, "modes *channel
 class LowRank(eqx.Module):
     """A reciprocal function h(wi)ᵀ A h(wo) with A = Σ_r λ_r v_r v_rᵀ, one factorisation a channel.
 
-    - `values`: λ, `(rank, channels)`, by falling modulus. - `vectors`: v, `(modes, rank, channels)`.
     A is what a series stands for: of a `LinearBRDF` with another target than "brdf" it is a foreshortened BRDF, and to
     be divided by the cosines as there.
 
+    - `values`: λ, `(rank, channels)`, by falling modulus. - `vectors`: v, `(modes, rank, channels)`.
     - `error`: ||A - Σ λ v vᵀ||_F / ||A||_F per channel, which is the relative L2 error of the function.
     """
 

@@ -29,7 +29,7 @@ class HSH(AbstractTriangle):
     order: int = eqx.field(static=True, converter=checked_order)
 
     def tables(self) -> RadialTables:
-        return _tables(self.order)
+        return _tables(self)
 
     def chart(self, w: Float[Array, "points 3"]) -> Chart:
         x, y, z = w[:, 0], w[:, 1], upper(w[:, 2])
@@ -41,6 +41,6 @@ class HSH(AbstractTriangle):
 
 
 @lru_cache
-def _tables(order: int) -> RadialTables:
+def _tables(basis: HSH) -> RadialTables:
     # dω = dz dφ = dt/2 dφ: the mass of [-1, 1] under dt/2 is 1.
-    return triangle_tables(order, 1.0, lambda m, size: jacobi_matrix(m, m, size))
+    return triangle_tables(basis, 1.0, lambda m, size: jacobi_matrix(m, m, size))

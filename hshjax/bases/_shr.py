@@ -25,7 +25,7 @@ class SHR(AbstractTriangle):
     order: int = eqx.field(static=True, converter=checked_order)
 
     def tables(self) -> RadialTables:
-        return _tables(self.order)
+        return _tables(self)
 
     def chart(self, w: Float[Array, "points 3"]) -> Chart:
         x, y, z = w[:, 0], w[:, 1], upper(w[:, 2])
@@ -33,9 +33,8 @@ class SHR(AbstractTriangle):
 
 
 @lru_cache
-def _tables(order: int) -> RadialTables:
+def _tables(basis: SHR) -> RadialTables:
     # p_j² z (1 - z²)^m has degree 2 (order + 1) at most.
-    nodes, weights = np.polynomial.legendre.leggauss(order + 2)
+    nodes, weights = np.polynomial.legendre.leggauss(basis.order + 2)
     nodes, weights = (nodes + 1) / 2, weights / 2
-
-    return triangle_tables(order, 1.0, lambda m, size: stieltjes_matrix(nodes, weights * (1 - nodes**2) ** m, size))
+    return triangle_tables(basis, 1.0, lambda m, size: stieltjes_matrix(nodes, weights * (1 - nodes**2) ** m, size))

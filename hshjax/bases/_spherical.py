@@ -24,7 +24,7 @@ class SphericalHarmonics(AbstractTriangle):
         return False
 
     def tables(self) -> RadialTables:
-        return _tables(self.order)
+        return _tables(self)
 
     def chart(self, w: Float[Array, "points 3"]) -> Chart:
         x, y, z = w[:, 0], w[:, 1], w[:, 2]
@@ -32,5 +32,5 @@ class SphericalHarmonics(AbstractTriangle):
 
 
 @lru_cache
-def _tables(order: int) -> RadialTables:
-    return triangle_tables(order, 2.0, lambda m, size: jacobi_matrix(m, m, size))
+def _tables(basis: SphericalHarmonics) -> RadialTables:
+    return triangle_tables(basis, 2.0, lambda m, size: jacobi_matrix(m, m, size))

@@ -23,9 +23,9 @@ class AbstractTriangle(AbstractBasis):
 
 
 def triangle_tables(
-    order: int, mass: float, matrix: Callable[[int, int], tuple[np.ndarray, np.ndarray]]
+    basis: AbstractTriangle, mass: float, matrix: Callable[[int, int], tuple[np.ndarray, np.ndarray]]
 ) -> RadialTables:
-    """The recurrences of `AbstractTriangle`.
+    """The recurrences of a basis over the full triangle.
 
     `mass` is ∫ dω / 2π over the domain, `matrix(m, size)` the Jacobi matrix of (1 - t²)^m; see `radial_tables`.
     """
@@ -36,4 +36,4 @@ def triangle_tables(
         mean = np.prod([2 * k / (2 * k + 1) for k in range(1, m + 1)])
         return 1 / np.sqrt(azimuth * mass * mean)
 
-    return radial_tables(list(range(order + 1, 0, -1)), first_norm, matrix)
+    return radial_tables(basis.radial_counts(), first_norm, matrix)

@@ -35,7 +35,7 @@ class Zernike(AbstractBasis):
         return (n - abs(m)) // 2
 
     def tables(self) -> RadialTables:
-        return _tables(self.order)
+        return _tables(self)
 
     def chart(self, w: Float[Array, "points 3"]) -> Chart:
         x, y, z = w[:, 0], w[:, 1], upper(w[:, 2])
@@ -45,11 +45,9 @@ class Zernike(AbstractBasis):
 
 
 @lru_cache
-def _tables(order: int) -> RadialTables:
+def _tables(basis: Zernike) -> RadialTables:
     # In x = 1 - 2z = 2|q|² - 1 the weight |q|^{2m} is ((1 + x)/2)^m, and the sign (-1)^k is absorbed.
     def first_norm(m):
         return np.sqrt((m + 1) / (2 * np.pi if m == 0 else np.pi))
 
-    return radial_tables(
-        [(order - m) // 2 + 1 for m in range(order + 1)], first_norm, lambda m, n: jacobi_matrix(0, m, n)
-    )
+    return radial_tables(basis.radial_counts(), first_norm, lambda m, n: jacobi_matrix(0, m, n))

@@ -150,7 +150,7 @@ def _series(norm: Norm, wi: Array, wo: Array, value: Array) -> Array:
     return cosine_power(wi, wo, norm.exponent)[:, None] * value
 
 
-def _rows(unknowns: int) -> int:
+def _block_size(unknowns: int) -> int:
     """Samples a block, such that a block of design rows keeps to some 10 MB."""
     return max(64, min(ROWS, 2**20 // unknowns))
 
@@ -162,7 +162,7 @@ def _inner_products(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> F
 
     unknowns = basis.count
     empty = jnp.zeros((unknowns, samples.channels), samples.value.dtype)
-    return fold(samples, _rows(unknowns), empty, visit)
+    return fold(samples, _block_size(unknowns), empty, visit)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0, 1))
@@ -201,7 +201,7 @@ def _normal_residual(
         misfit = _series(norm, wi, wo, value) - matmul(rows, coefficients)
         return sums + matmul(rows.T, (weight * norm.fit_weight(wi, wo))[:, None] * misfit)
 
-    sums = fold(samples, _rows(basis.count), jnp.zeros_like(coefficients), visit)
+    sums = fold(samples, _block_size(basis.count), jnp.zeros_like(coefficients), visit)
     return sums if gamma is None else sums - gamma.astype(sums.dtype)[:, None] * coefficients
 
 

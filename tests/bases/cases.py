@@ -2,9 +2,6 @@
 
 from functools import partial
 
-import jax
-import pytest
-
 from hshjax import HSH, SHR, HelmholtzBasis, IsotropicBasis, SphericalHarmonics, TensorBasis, Zernike
 
 ALL_BASES = {"hsh": HSH, "zernike": Zernike, "shr": SHR}
@@ -30,23 +27,3 @@ ALL_PAIRS = {
 
 SOME_PAIRS = ["tensor-hsh", "helmholtz-zernike", "isotropic-hsh", "isotropic_bilateral-shr"]
 """Every pair basis, and every basis, once: for what costs a compilation and is the same code for all."""
-
-
-def mostly_slow(names, kept):
-    """`names` as parameters; those that are not `kept` run in `make test-slow`: each costs compilations of its own."""
-    return [name if name in kept else pytest.param(name, marks=pytest.mark.slow) for name in names]
-
-
-# Bases are static arguments, hashed by value: a basis of one order is compiled once for the whole run of the tests.
-
-
-@partial(jax.jit, static_argnums=0)
-def rows(basis, *directions):
-    """The design rows of a basis (w) or a pair basis (wi, wo)."""
-    return basis(*directions)
-
-
-@partial(jax.jit, static_argnums=0)
-def sums(basis, coefficients, *directions):
-    """`evaluate` of a basis (w) or a pair basis (wi, wo)."""
-    return basis.evaluate(coefficients, *directions)

@@ -19,7 +19,7 @@ from hshjax import (
     to_matrix,
     to_ordered,
 )
-from tests.bases.cases import ALL_BASES, ALL_PAIRS, SOME_PAIRS, rows, sums
+from tests.bases.cases import ALL_BASES, ALL_PAIRS, SOME_PAIRS
 from tests.bases.test_laws import normal
 from tests.helpers import DTYPE, X64, assert_close, directions
 
@@ -41,8 +41,8 @@ def test_matrix_says_the_same_function(name):
     pairs = make(name)
     c = normal(0, len(pairs.modes), 2)
     matrix = to_matrix(pairs, c)
-    hi, ho = (np.asarray(rows(pairs.basis, w)) for w in (WI, WO))
-    assert_close(np.einsum("pa,abc,pb->pc", hi, matrix, ho), sums(pairs, c, WI, WO), tolerance=None if X64 else 5e-5)
+    hi, ho = (np.asarray(pairs.basis(w)) for w in (WI, WO))
+    assert_close(np.einsum("pa,abc,pb->pc", hi, matrix, ho), pairs.evaluate(c, WI, WO), tolerance=None if X64 else 5e-5)
     assert bool(jnp.all(matrix == matrix.swapaxes(0, 1))) == pairs.reciprocal
     assert_close(from_matrix(pairs, matrix), c)
     assert_close(jnp.sum(matrix**2), jnp.sum(c**2))  # Parseval
@@ -61,8 +61,8 @@ def test_from_matrix_is_the_projection_in_l2(name):
     tensor = TensorBasis(pairs.basis)
     k = len(pairs.basis.modes)
     matrix = normal(1, k, k)
-    rho = sums(tensor, matrix.ravel(), rule.wi, rule.wo)
-    expected = np.asarray(rows(pairs, rule.wi, rule.wo)).T @ np.asarray(rule.weight * rho)
+    rho = tensor.evaluate(matrix.ravel(), rule.wi, rule.wo)
+    expected = np.asarray(pairs(rule.wi, rule.wo)).T @ np.asarray(rule.weight * rho)
     assert_close(from_matrix(pairs, matrix), expected)
 
 
@@ -92,7 +92,7 @@ def test_wrong_shapes_are_named():
 def test_ordered_series_of_eq_3(name, channels):
     """Σ over ORDERED pairs of a_ab N_ab [h_a(i) h_b(o) + h_b(i) h_a(o)], term by term, is what `from_ordered` says."""
     pairs = HelmholtzBasis(ALL_BASES[name](ORDER))
-    hi, ho = (np.asarray(rows(pairs.basis, w)) for w in (WI, WO))
+    hi, ho = (np.asarray(pairs.basis(w)) for w in (WI, WO))
     k = hi.shape[1]
     series = normal(3, k, k, *channels)
     expected = np.zeros((30, *channels))
@@ -102,7 +102,7 @@ def test_ordered_series_of_eq_3(name, channels):
             function = norm * (hi[:, a] * ho[:, b] + hi[:, b] * ho[:, a])
             expected += np.multiply.outer(function, np.asarray(series[a, b]))
     c = from_ordered(pairs, series)
-    assert_close(sums(pairs, c, WI, WO), expected, tolerance=None if X64 else 1e-4)  # float32: 81 terms
+    assert_close(pairs.evaluate(c, WI, WO), expected, tolerance=None if X64 else 1e-4)  # float32: 81 terms
     back = to_ordered(pairs, c)
     assert_close(back, back.swapaxes(0, 1))
     assert_close(from_ordered(pairs, back), c)
@@ -118,11 +118,11 @@ def test_isotropic_embeds_in_helmholtz_and_in_tensor(name, bilateral):
     basis = ALL_BASES[name](ORDER)
     isotropic = IsotropicBasis(basis, bilateral=bilateral)
     c = normal(4, len(isotropic.modes), 2)
-    value = sums(isotropic, c, WI, WO)
+    value = isotropic.evaluate(c, WI, WO)
     for target in (HelmholtzBasis(basis), TensorBasis(basis), IsotropicBasis(basis, bilateral=False)):
         embedded = convert(isotropic, c, target)
         assert embedded.shape == (len(target.modes), 2)
-        assert_close(sums(target, embedded, WI, WO), value)
+        assert_close(target.evaluate(embedded, WI, WO), value)
         assert_close(jnp.sum(embedded**2), jnp.sum(c**2))
         assert_close(convert(target, embedded, isotropic), c)
 
@@ -131,8 +131,8 @@ def test_the_way_back_projects():
     """Helmholtz -> isotropic keeps the average over rotations: the inner products with the isotropic columns."""
     full, isotropic = HelmholtzBasis(HSH(ORDER)), IsotropicBasis(HSH(ORDER), bilateral=False)
     rule, c = pair_rule(2 * ORDER, dtype=DTYPE), normal(5, 45)
-    rho = sums(full, c, rule.wi, rule.wo)
-    expected = np.asarray(rows(isotropic, rule.wi, rule.wo)).T @ np.asarray(rule.weight * rho)
+    rho = full.evaluate(c, rule.wi, rule.wo)
+    expected = np.asarray(isotropic(rule.wi, rule.wo)).T @ np.asarray(rule.weight * rho)
     assert_close(convert(full, c, isotropic), expected)
 
 
@@ -141,7 +141,7 @@ def test_a_single_basis_is_padded_and_truncated(name):
     low, high = ALL_BASES[name](2), ALL_BASES[name](4)
     c = normal(6, len(low.modes), 3)
     padded = convert(low, c, high)
-    assert_close(sums(high, padded, WI), sums(low, c, WI))
+    assert_close(high.evaluate(padded, WI), low.evaluate(c, WI))
     assert_close(convert(high, padded, low), c)
     assert_close(convert(high, normal(7, len(high.modes)), low), normal(7, len(high.modes))[: len(low.modes)])
 
@@ -151,7 +151,7 @@ def test_a_pair_basis_is_padded_and_truncated(name):
     low, high = make(name, 1), make(name, 2)
     c = normal(8, len(low.modes), 2)
     padded = convert(low, c, high)
-    assert_close(sums(high, padded, WI, WO), sums(low, c, WI, WO))
+    assert_close(high.evaluate(padded, WI, WO), low.evaluate(c, WI, WO))
     assert_close(convert(high, padded, low), c)
     # What truncation drops is what the lower order does not have.
     full = normal(9, len(high.modes))
@@ -185,7 +185,7 @@ def test_low_rank_error_is_the_measured_one(rank):
     low = factorize(pairs.basis, to_matrix(pairs, c), rank)
     assert low.values.shape == (rank, 2)
     assert low.vectors.shape == (9, rank, 2)
-    exact, kept = sums(pairs, c, rule.wi, rule.wo), low.evaluate(rule.wi, rule.wo)
+    exact, kept = pairs.evaluate(c, rule.wi, rule.wo), low.evaluate(rule.wi, rule.wo)
     weight = rule.weight[:, None]
     measured = jnp.sqrt(jnp.sum(weight * (exact - kept) ** 2, 0) / jnp.sum(weight * exact**2, 0))
     assert_close(measured, low.error)
@@ -194,7 +194,7 @@ def test_low_rank_error_is_the_measured_one(rank):
         assert_close(low.error, np.zeros(2))
     else:
         assert bool(jnp.all(low.error > 0.05))
-    assert_close(sums(pairs, from_matrix(pairs, low.matrix()), WI, WO), low.evaluate(WI, WO))
+    assert_close(pairs.evaluate(from_matrix(pairs, low.matrix()), WI, WO), low.evaluate(WI, WO))
     assert bool(jnp.all(jnp.diff(jnp.abs(low.values), axis=0) <= 0))
 
 

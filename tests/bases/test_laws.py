@@ -13,7 +13,7 @@ import pytest
 import hshjax
 from hshjax import HSH, SHR, Zernike
 from hshjax.bases._base import BLOCK
-from tests.bases.cases import ALL_BASES, EVERY_BASIS, rows, sums
+from tests.bases.cases import ALL_BASES, EVERY_BASIS
 from tests.helpers import DTYPE, X64, assert_close, directions
 
 every_basis = pytest.mark.parametrize("name", EVERY_BASIS)
@@ -100,7 +100,7 @@ def test_modes_say_what_the_columns_do_in_azimuth(name):
     basis, z, phi = EVERY_BASIS[name](5), 0.4, np.linspace(0, 6, 13)
     rim = np.sqrt(1 - z**2)
     w = jnp.asarray(np.stack([rim * np.cos(phi), rim * np.sin(phi), np.full_like(phi, z)], -1), DTYPE)
-    y = np.asarray(rows(basis, w))
+    y = np.asarray(basis(w))
     for column, (n, m) in enumerate(basis.modes):
         radial = y[0, basis.modes.index((n, abs(m)))]
         assert_close(y[:, column], radial * (np.sin(-m * phi) if m < 0 else np.cos(m * phi)))
@@ -114,9 +114,9 @@ def test_modes_say_what_the_columns_do_in_azimuth(name):
 def test_evaluate_is_the_row_times_coefficients(name, channels):
     basis, w = EVERY_BASIS[name](4), directions(0, 5, 4)
     coefficients = normal(1, len(basis.modes), *channels)
-    value = sums(basis, coefficients, w)
+    value = basis.evaluate(coefficients, w)
     assert value.shape == (5, 4, *channels)
-    assert_close(value, np.tensordot(np.asarray(rows(basis, w)), np.asarray(coefficients), 1))
+    assert_close(value, np.tensordot(np.asarray(basis(w)), np.asarray(coefficients), 1))
 
 
 @every_basis
@@ -130,7 +130,7 @@ def test_empty_and_single_batches(name):
     gradient = jax.grad(lambda c: jnp.sum(basis.evaluate(c, w[:0])))(jnp.ones(k, DTYPE))
     assert_close(gradient, np.zeros(k))
     assert basis(w[0]).shape == (k,)
-    assert_close(basis(w[0]), rows(basis, w)[0])
+    assert_close(basis(w[0]), basis(w)[0])
 
 
 @every_basis
@@ -145,12 +145,12 @@ def test_wrong_coefficients_are_named(name):
 def test_jit_and_vmap_change_nothing(name):
     basis, w = EVERY_BASIS[name](3), directions(2, 4, 5)
     coefficients = normal(3, len(basis.modes), 2)
-    expected = np.asarray(rows(basis, w)) @ np.asarray(coefficients)
+    expected = np.asarray(basis(w)) @ np.asarray(coefficients)
     assert_close(basis.evaluate(coefficients, w), expected)
     over_points = jax.vmap(jax.vmap(basis))
     over_channels = jax.vmap(jax.vmap(basis.evaluate, (1, None), -1), (None, 0))
     row, value = jax.jit(lambda c, w: (over_points(w), over_channels(c, w)))(coefficients, w)
-    assert_close(row, rows(basis, w))
+    assert_close(row, basis(w))
     assert_close(value, expected)
 
 
@@ -160,7 +160,7 @@ def test_columns_of_a_lower_order_come_first(name):
     low, high = EVERY_BASIS[name](3), EVERY_BASIS[name](6)
     assert high.modes[: len(low.modes)] == low.modes
     # SHR: the recurrences come from rules of different sizes, and differ by their rounding.
-    assert_close(rows(high, w)[:, : len(low.modes)], rows(low, w), tolerance=1e-13 if X64 else 1e-6)
+    assert_close(high(w)[:, : len(low.modes)], low(w), tolerance=1e-13 if X64 else 1e-6)
 
 
 @pytest.mark.skipif(not X64, reason="compares the two precisions, which needs x64")
@@ -169,12 +169,12 @@ def test_float32_is_float64_rounded(name):
     basis, w = EVERY_BASIS[name](8), directions(5, 200)
     coefficients = normal(6, len(basis.modes), 3) / len(basis.modes)
     narrow = w.astype(jnp.float32), coefficients.astype(jnp.float32)
-    assert rows(basis, narrow[0]).dtype == jnp.float32
-    assert sums(basis, narrow[1], narrow[0]).dtype == jnp.float32
+    assert basis(narrow[0]).dtype == jnp.float32
+    assert basis.evaluate(narrow[1], narrow[0]).dtype == jnp.float32
     # Rounded directions: odd HSH go like sqrt(z), so the comparison starts from those same directions.
     wide = narrow[0].astype(jnp.float64)
-    assert_close(rows(basis, narrow[0]), rows(basis, wide), tolerance=2e-5)
-    assert_close(sums(basis, narrow[1], narrow[0]), sums(basis, coefficients, wide), tolerance=2e-5)
+    assert_close(basis(narrow[0]), basis(wide), tolerance=2e-5)
+    assert_close(basis.evaluate(narrow[1], narrow[0]), basis.evaluate(coefficients, wide), tolerance=2e-5)
     with jax.numpy_dtype_promotion("standard"):
         assert jax.eval_shape(basis.evaluate, narrow[1], w).dtype == jnp.float64
 
@@ -184,10 +184,10 @@ def test_below_the_horizon_is_the_horizon(name):
     """z < 0 is evaluated at z = 0, x and y as they are."""
     basis, w = ALL_BASES[name](5), directions(7, 20)
     below, on = w.at[:, 2].multiply(-1), w.at[:, 2].set(0)
-    assert_close(rows(basis, below), rows(basis, on))
+    assert_close(basis(below), basis(on))
     c = normal(8, len(basis.modes))
-    assert_close(sums(basis, c, below), np.asarray(rows(basis, on)) @ np.asarray(c))
-    assert not np.allclose(rows(basis, w), rows(basis, on))
+    assert_close(basis.evaluate(c, below), np.asarray(basis(on)) @ np.asarray(c))
+    assert not np.allclose(basis(w), basis(on))
 
 
 # --- blocks and memory ------------------------------------------------------------------------------------------------
@@ -199,8 +199,8 @@ def test_blocks_do_not_show():
     c = normal(10, len(basis.modes), 2)
     row = np.asarray(jax.jit(jax.vmap(basis))(w))
     for n in (1, BLOCK - 1, BLOCK, BLOCK + 1, 2500):
-        assert_close(rows(basis, w[:n]), row[:n])
-        assert_close(sums(basis, c, w[:n]), row[:n] @ np.asarray(c))
+        assert_close(basis(w[:n]), row[:n])
+        assert_close(basis.evaluate(c, w[:n]), row[:n] @ np.asarray(c))
 
 
 @pytest.mark.parametrize("name", ALL_BASES)

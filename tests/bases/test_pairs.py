@@ -11,9 +11,9 @@ import pytest
 
 from hshjax import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike, isotropic_pair_rule, pair_rule
 from hshjax.bases._pairs import PAIR_BLOCK
-from tests.bases.cases import ALL_BASES, ALL_PAIR_BASES, ALL_PAIRS, SOME_PAIRS, mostly_slow, rows, sums
+from tests.bases.cases import ALL_BASES, ALL_PAIR_BASES, ALL_PAIRS, SOME_PAIRS
 from tests.bases.test_laws import equations, normal
-from tests.helpers import DTYPE, X64, assert_close, directions
+from tests.helpers import DTYPE, X64, assert_close, directions, mostly_slow
 
 COUNTS = Path(__file__).parents[1] / "reference" / "counts.csv"
 ORDER = 2
@@ -30,7 +30,7 @@ def make(name: str, order: int = ORDER):
 def sample(name: str):
     """The basis, 40 pairs of directions, and its rows there."""
     wi, wo = directions(0, 40), directions(1, 40)
-    return make(name), wi, wo, np.asarray(rows(make(name), wi, wo))
+    return make(name), wi, wo, np.asarray(make(name)(wi, wo))
 
 
 def turned(w, angle: float):
@@ -46,7 +46,7 @@ def mirrored(w):
 
 
 def gram_error(pairs, rule):
-    y, weight = np.asarray(rows(pairs, rule.wi, rule.wo), np.float64), np.asarray(rule.weight, np.float64)
+    y, weight = np.asarray(pairs(rule.wi, rule.wo), np.float64), np.asarray(rule.weight, np.float64)
     return np.max(np.abs(y.T @ (weight[:, None] * y) - np.eye(y.shape[1])))
 
 
@@ -123,7 +123,7 @@ def test_columns_of_a_lower_order_come_first(name):
     low, wi, wo, row = sample(name)
     high = make(name, 3)
     assert high.modes[: len(low.modes)] == low.modes
-    assert_close(rows(high, wi, wo)[:, : len(low.modes)], row)
+    assert_close(high(wi, wo)[:, : len(low.modes)], row)
 
 
 # --- what the columns are ---------------------------------------------------------------------------------------------
@@ -135,7 +135,7 @@ def test_tensor_and_helmholtz_columns_are_their_products(name):
     tensor, wi, wo, tensor_rows = sample(f"tensor-{name}")
     helmholtz, *_, helmholtz_rows = sample(f"helmholtz-{name}")
     basis = tensor.basis
-    hi, ho = (dict(zip(basis.modes, np.asarray(rows(basis, w)).T, strict=True)) for w in (wi, wo))
+    hi, ho = (dict(zip(basis.modes, np.asarray(basis(w)).T, strict=True)) for w in (wi, wo))
     for column, (a, b) in zip(tensor_rows.T, tensor.modes, strict=True):
         assert_close(column, hi[a] * ho[b])
     for column, (a, b) in zip(helmholtz_rows.T, helmholtz.modes, strict=True):
@@ -149,7 +149,7 @@ def test_isotropic_columns_are_their_formula(name):
 
     def radial(w):
         w = np.asarray(w)
-        y = rows(pairs.basis, jnp.asarray(np.stack([np.hypot(w[:, 0], w[:, 1]), 0 * w[:, 2], w[:, 2]], -1), DTYPE))
+        y = pairs.basis(jnp.asarray(np.stack([np.hypot(w[:, 0], w[:, 1]), 0 * w[:, 2], w[:, 2]], -1), DTYPE))
         return dict(zip(pairs.basis.modes, np.asarray(y).T, strict=True))
 
     ri, ro = radial(wi), radial(wo)
@@ -167,7 +167,7 @@ def test_isotropic_columns_are_their_formula(name):
 @all_pairs
 def test_reciprocal_bases_are_unchanged_by_a_swap(name):
     pairs, wi, wo, row = sample(name)
-    swapped = np.asarray(rows(pairs, wo, wi))
+    swapped = np.asarray(pairs(wo, wi))
     if pairs.reciprocal:
         assert_close(swapped, row)
     else:
@@ -179,10 +179,10 @@ def test_reciprocal_bases_are_unchanged_by_a_swap(name):
 @all_pairs
 def test_isotropic_bases_are_unchanged_by_a_rotation(name):
     pairs, wi, wo, row = sample(name)
-    rotated = np.asarray(rows(pairs, turned(wi, 1.1), turned(wo, 1.1)))
+    rotated = np.asarray(pairs(turned(wi, 1.1), turned(wo, 1.1)))
     if "isotropic" in name:
         assert_close(rotated, row)
-        assert np.max(np.abs(np.asarray(rows(pairs, turned(wi, 1.1), wo)) - row)) > 0.1
+        assert np.max(np.abs(np.asarray(pairs(turned(wi, 1.1), wo)) - row)) > 0.1
     else:
         assert np.max(np.abs(rotated - row)) > 0.1
 
@@ -190,10 +190,10 @@ def test_isotropic_bases_are_unchanged_by_a_rotation(name):
 @pytest.mark.parametrize("name", mostly_slow([n for n in ALL_PAIRS if n.startswith("isotropic")], SOME_PAIRS))
 def test_a_mirror_changes_the_sign_of_sines_only(name):
     pairs, wi, wo = make(name, 3), directions(0, 40), directions(1, 40)  # below order 3 Zernike has no sine
-    row = np.asarray(rows(pairs, wi, wo))
+    row = np.asarray(pairs(wi, wo))
     sign = np.array([-1 if m < 0 else 1 for *_, m in pairs.modes])
     assert np.any(sign < 0) != pairs.bilateral
-    assert_close(rows(pairs, mirrored(wi), mirrored(wo)), sign * row)
+    assert_close(pairs(mirrored(wi), mirrored(wo)), sign * row)
 
 
 @pytest.mark.parametrize("name", ALL_BASES)
@@ -202,8 +202,8 @@ def test_asymmetry_of_the_matrix_is_that_of_the_function(name):
     pairs, rule = TensorBasis(ALL_BASES[name](ORDER)), pair_rule(2 * ORDER, dtype=DTYPE)
     k = len(pairs.basis.modes)
     matrix = normal(2, k, k)
-    rho = sums(pairs, matrix.ravel(), rule.wi, rule.wo)
-    swapped = sums(pairs, matrix.ravel(), rule.wo, rule.wi)
+    rho = pairs.evaluate(matrix.ravel(), rule.wi, rule.wo)
+    swapped = pairs.evaluate(matrix.ravel(), rule.wo, rule.wi)
     assert_close(jnp.sum(rule.weight * (rho - swapped) ** 2), jnp.sum((matrix - matrix.T) ** 2))
 
 
@@ -215,7 +215,7 @@ def test_evaluate_is_the_row_times_coefficients(name):
     pairs, wi, wo, row = sample(name)
     for channels in ((), (2, 3)):
         coefficients = normal(3, len(pairs.modes), *channels)
-        value = sums(pairs, coefficients, wi, wo)
+        value = pairs.evaluate(coefficients, wi, wo)
         assert value.shape == (40, *channels)
         assert_close(value, np.tensordot(row, np.asarray(coefficients), 1), tolerance=None if X64 else 5e-5)
 
@@ -224,10 +224,10 @@ def test_evaluate_is_the_row_times_coefficients(name):
 def test_directions_broadcast_and_batches_may_be_empty(name):
     pairs = ALL_PAIR_BASES[name](HSH(ORDER))
     k, wi, wo = len(pairs.modes), directions(4, 5, 1), directions(5, 4)
-    row = rows(pairs, wi[:, 0][:, None].repeat(4, 1), jnp.broadcast_to(wo, (5, 4, 3)))
+    row = pairs(wi[:, 0][:, None].repeat(4, 1), jnp.broadcast_to(wo, (5, 4, 3)))
     c = normal(6, k, 2)
     with jax.numpy_rank_promotion("allow"):
-        assert_close(sums(pairs, c, wi, wo), np.asarray(row) @ np.asarray(c))
+        assert_close(pairs.evaluate(c, wi, wo), np.asarray(row) @ np.asarray(c))
     assert row.shape == (5, 4, k)
     nothing = jnp.zeros((4, 0, 3), DTYPE)
     assert jax.eval_shape(pairs, nothing, nothing).shape == (4, 0, k)
@@ -250,8 +250,8 @@ def test_blocks_do_not_show():
     c = normal(10, len(pairs.modes))
     row = np.asarray(jax.jit(jax.vmap(pairs))(wi, wo))
     for n in (1, PAIR_BLOCK - 1, PAIR_BLOCK + 1, 1300):
-        assert_close(rows(pairs, wi[:n], wo[:n]), row[:n])
-        assert_close(sums(pairs, c, wi[:n], wo[:n]), row[:n] @ np.asarray(c))
+        assert_close(pairs(wi[:n], wo[:n]), row[:n])
+        assert_close(pairs.evaluate(c, wi[:n], wo[:n]), row[:n] @ np.asarray(c))
 
 
 @pytest.mark.parametrize("name", ALL_PAIR_BASES)

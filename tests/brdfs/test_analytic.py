@@ -26,7 +26,7 @@ from hshjax.brdfs._microfacet import beckmann, trowbridge_reitz
 from hshjax.geometry import direction
 from hshjax.quadrature import hemisphere_rule
 from tests.brdfs.cases import ALBEDO_EXCEPTIONS, ALL_BRDFS, FRESNELS, RGB
-from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
+from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions, mostly_slow, slow_unless
 
 each_brdf = pytest.mark.parametrize("brdf", ALL_BRDFS.values(), ids=ALL_BRDFS.keys())
 # Every formula once; the other cases, Fresnel factors and channels, differ in what is tested elsewhere by itself.
@@ -36,11 +36,7 @@ FORMULAS = [
     if not name.endswith("rgb") and not any(name.endswith(f"_{fresnel}") for fresnel in FRESNELS)
 ]
 each_formula = pytest.mark.parametrize(
-    "brdf",
-    [
-        pytest.param(brdf, id=name, marks=() if name in FORMULAS else pytest.mark.slow)
-        for name, brdf in ALL_BRDFS.items()
-    ],
+    "brdf", [slow_unless(name in FORMULAS, brdf, id=name) for name, brdf in ALL_BRDFS.items()]
 )
 each_fresnel = pytest.mark.parametrize("fresnel", FRESNELS.values(), ids=FRESNELS.keys())
 
@@ -95,14 +91,7 @@ def test_non_negative(brdf):
     assert jnp.any(brdf(wi, wo) > 0)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name in FORMULAS else pytest.mark.slow)
-        for name in ALL_BRDFS
-        if name not in ALBEDO_EXCEPTIONS
-    ],
-)
+@pytest.mark.parametrize("name", mostly_slow([n for n in ALL_BRDFS if n not in ALBEDO_EXCEPTIONS], FORMULAS))
 def test_directional_albedo_is_at_most_one(name):
     # Degree 400 with the substitution z = v², 401 x 401 nodes: against degree 1200 the sharpest lobe of the list (slope
     # 0.25, V-cavity kinks, 86 degrees) moves by 2e-7. Beyond, its mirror lobe is narrower than the nodes.
@@ -388,7 +377,10 @@ def test_fresnel_range_shapes_and_finite_derivatives(fresnel):
 @pytest.mark.parametrize("eta", [0.6, 1.0, 1.5, 2.4])
 def test_dielectric_closed_forms(eta):
     fresnel = DielectricFresnel(eta)
-    at = lambda cosine: float(fresnel(jnp.asarray(cosine, DTYPE))[0])  # noqa: E731
+
+    def at(cosine):
+        return float(fresnel(jnp.asarray(cosine, DTYPE))[0])
+
     assert_close(at(1.0), ((eta - 1) / (eta + 1)) ** 2)
     if eta != 1:
         # At Brewster's angle only the senkrecht half is left, sin²(θ_i - θ_t) with θ_i + θ_t = π/2.

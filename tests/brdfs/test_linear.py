@@ -9,7 +9,7 @@ import pytest
 
 from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike
 from hshjax.brdfs import LinearBRDF
-from tests.helpers import DTYPE, X64, assert_close, directions
+from tests.helpers import DTYPE, X64, assert_close, directions, slow_unless
 
 TARGETS = {"brdf": 0.0, "half_foreshortened": 0.5, "foreshortened": 1.0}
 """p of the factor (z_i z_o)^p between the BRDF and the series."""
@@ -24,10 +24,9 @@ each_target = pytest.mark.parametrize("target", TARGETS)
 each_target_and_basis = pytest.mark.parametrize(
     ("target", "basis"),
     [
-        pytest.param(target, basis, id=f"{name}-{target}", marks=() if kept else pytest.mark.slow)
+        slow_unless(name == "isotropic" or target == "foreshortened", target, basis, id=f"{name}-{target}")
         for target in TARGETS
         for name, basis in BASES.items()
-        for kept in [name == "isotropic" or target == "foreshortened"]
     ],
 )
 

@@ -9,6 +9,7 @@ import jax
 import pytest
 
 from experiments import config as configs, recipes
+from tests.helpers import slow_unless
 
 ROOT = Path(__file__).parents[2]
 SMOKE = sorted((ROOT / "configs" / "smoke").glob("*.toml"))
@@ -63,9 +64,6 @@ def test_smoke(path, tmp_path):
 
 
 @once_is_enough
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, id=path.stem, marks=() if path.stem == "quickstart" else pytest.mark.slow) for path in SMOKE],
-)
+@pytest.mark.parametrize("path", [slow_unless(path.stem == "quickstart", path, id=path.stem) for path in SMOKE])
 def test_the_same_seed_measures_the_same(path, tmp_path):
     assert run(path, tmp_path / "first") == run(path, tmp_path / "second")

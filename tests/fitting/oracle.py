@@ -6,7 +6,6 @@ import equinox as eqx
 import numpy as np
 
 from hshjax.samples import Samples
-from tests.bases.cases import rows
 
 # name: (p of the target (z_i z_o)^p ρ, exponent of the fit's weight, exponent of the judge's weight on ρ, largest θ)
 NORM_TABLE = {
@@ -36,7 +35,7 @@ def weighted_design(basis, samples: Samples, norm: str) -> tuple[np.ndarray, np.
     cosines = wi[:, 2] * wo[:, 2]
     inside = np.minimum(wi[:, 2], wo[:, 2]) >= math.cos(max_theta) - 1e-12
     root = np.sqrt(weight * cosines**fit * inside)[:, None]
-    return root * host(rows(basis, samples.wi, samples.wo))[0], root * (cosines**p)[:, None] * value
+    return root * host(basis(samples.wi, samples.wo))[0], root * (cosines**p)[:, None] * value
 
 
 def least_squares(basis, samples: Samples, norm: str, gamma: np.ndarray | None = None) -> np.ndarray:

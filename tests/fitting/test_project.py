@@ -16,7 +16,7 @@ from hshjax.geometry import direction
 from hshjax.quadrature import isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 from tests.fitting import oracle
-from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
+from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions, mostly_slow, slow_unless
 
 EPS = float(jnp.finfo(DTYPE).eps)
 
@@ -35,10 +35,9 @@ each_norm = pytest.mark.parametrize("norm", NORMS)
 each_norm_and_basis = pytest.mark.parametrize(
     ("basis", "norm"),
     [
-        pytest.param(basis, norm, id=f"{name}-{norm}", marks=() if kept else pytest.mark.slow)
+        slow_unless(norm == "A" or name == "isotropic", basis, norm, id=f"{name}-{norm}")
         for name, basis in BASES.items()
         for norm in NORMS
-        for kept in [norm == "A" or name == "isotropic"]
     ],
 )
 
@@ -226,9 +225,7 @@ def test_weights_count_repetitions():
     assert_close(weighted.relative[2], counted.relative[2], tolerance=max(TOLERANCE, 1e3 * EPS))
 
 
-@pytest.mark.parametrize(
-    "n", [pytest.param(4095, marks=pytest.mark.slow), 4096, 4097, pytest.param(8192, marks=pytest.mark.slow), 10_000]
-)
+@pytest.mark.parametrize("n", mostly_slow([4095, 4096, 4097, 8192, 10_000], [4096, 4097, 10_000]))
 def test_any_number_of_samples_around_the_block(n):
     basis = IsotropicBasis(HSH(1))
     samples = scattered(basis, "A", n)

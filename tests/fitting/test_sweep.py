@@ -10,7 +10,7 @@ from hshjax.bases import HSH, SHR, IsotropicBasis, Zernike
 from hshjax.fitting import NORMS, IsotropicTable, order_sweep, project
 from hshjax.quadrature import PairRule, graded_azimuths, polar_nodes
 from hshjax.samples import Samples
-from tests.helpers import DTYPE, X64, assert_close
+from tests.helpers import DTYPE, X64, assert_close, slow_unless
 
 ORDER, POLAR, LEVELS = 3, 12, 1
 
@@ -49,11 +49,7 @@ def tables():
 
 @pytest.mark.parametrize(
     ("family", "norm"),
-    [
-        pytest.param(family, norm, marks=() if family is HSH or norm == "A" else pytest.mark.slow)
-        for family in (HSH, Zernike, SHR)
-        for norm in NORMS
-    ],
+    [slow_unless(family is HSH or norm == "A", family, norm) for family in (HSH, Zernike, SHR) for norm in NORMS],
 )
 def test_every_order_is_that_of_project(family, norm, tables):
     max_theta = NORMS[norm].max_theta
