@@ -1,7 +1,8 @@
 """Compact, reciprocal reflectance in JAX.
 
 Bases of the hemisphere and of pairs of directions, BRDFs that are linear in them, analytic and measured BRDFs, and
-closed-form fits. Files live in `hshjax.io`; pictures, which need the extra `experiments`, in `hshjax.plotting`.
+fits in closed form or by gradients. Files live in `hshjax.io`; pictures, which need the extra `experiments`, in
+`hshjax.plotting`.
 """
 
 from hshjax.bases import (
@@ -41,9 +42,30 @@ from hshjax.brdfs import (
 )
 from hshjax.fitting import (
     NORMS as NORMS,
+    AbstractTerm as AbstractTerm,
+    Cauchy as Cauchy,
+    CosineWeighted as CosineWeighted,
+    CubeRoot as CubeRoot,
+    EnergyConservation as EnergyConservation,
     Fit as Fit,
+    GemanMcClure as GemanMcClure,
+    Huber as Huber,
+    Identity as Identity,
     IsotropicTable as IsotropicTable,
+    IterativeFit as IterativeFit,
+    Jaxopt as Jaxopt,
+    LogCosineWeighted as LogCosineWeighted,
+    LogRelative as LogRelative,
+    NonNegativity as NonNegativity,
     Norm as Norm,
+    Of as Of,
+    Outcome as Outcome,
+    Prior as Prior,
+    Reciprocity as Reciprocity,
+    SampleMisfit as SampleMisfit,
+    Smoothness as Smoothness,
+    Sparsity as Sparsity,
+    fit as fit,
     misfit as misfit,
     order_sweep as order_sweep,
     project as project,

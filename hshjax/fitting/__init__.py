@@ -1,7 +1,35 @@
-"""Fits in closed form: projections in named norms, and the errors of all orders at once."""
+"""Fits in closed form: projections in named norms, and the errors of all orders at once. Fits by gradients: `fit`."""
 
+from hshjax.fitting._fit import fit as fit
+from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
+from hshjax.fitting._mappings import (
+    AbstractMapping as AbstractMapping,
+    CosineWeighted as CosineWeighted,
+    CubeRoot as CubeRoot,
+    Identity as Identity,
+    LogCosineWeighted as LogCosineWeighted,
+    LogRelative as LogRelative,
+)
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
+from hshjax.fitting._outcome import Outcome as Outcome
 from hshjax.fitting._project import project as project
-from hshjax.fitting._result import Fit as Fit
+from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit
+from hshjax.fitting._robust import (
+    AbstractRobustLoss as AbstractRobustLoss,
+    Cauchy as Cauchy,
+    GemanMcClure as GemanMcClure,
+    Huber as Huber,
+)
 from hshjax.fitting._sweep import IsotropicTable as IsotropicTable, order_sweep as order_sweep
+from hshjax.fitting._terms import (
+    AbstractTerm as AbstractTerm,
+    EnergyConservation as EnergyConservation,
+    NonNegativity as NonNegativity,
+    Of as Of,
+    Prior as Prior,
+    Reciprocity as Reciprocity,
+    SampleMisfit as SampleMisfit,
+    Smoothness as Smoothness,
+    Sparsity as Sparsity,
+)

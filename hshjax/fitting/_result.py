@@ -3,8 +3,11 @@
 from typing import Generic, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 
-from hshjax._typing import Array, Float
+from hshjax._typing import Array, Bool, Float, Int
+from hshjax.fitting._outcome import Outcome
 from hshjax.metrics import ReciprocityError
 
 Model = TypeVar("Model", bound=eqx.Module)
@@ -37,3 +40,34 @@ class Fit(eqx.Module, Generic[Model]):
     reciprocity_after: ReciprocityError | None = None
     covariance: Float[Array, "modes modes"] | None = None
     noise: Float[Array, " channels"] | None = None
+
+
+class IterativeFit(eqx.Module, Generic[Model]):
+    """A model fitted by `fit`, and how it went. Losses are ½|r|² of a term, times its weight.
+
+    - `model`: the fitted model. - `result`: how the fit ended, `message` in words. - `steps`: how many were taken.
+    - `losses`, `start_losses`: by the name of the term, at the end and at the start.
+    - `curve`: `(max_steps,)`, the whole loss that every step started from, NaN beyond the last step.
+    - `gradient_norm`: largest derivative of the loss by a free number (after the transformation of bounded ones).
+    - `on_bound`: by the name of a bounded field, where it has ended on a bound.
+    """
+
+    model: Model
+    result: Outcome
+    steps: Int[Array, ""]
+    losses: dict[str, Float[Array, ""]]
+    start_losses: dict[str, Float[Array, ""]]
+    curve: Float[Array, " max_steps"]
+    gradient_norm: Float[Array, ""]
+    on_bound: dict[str, Bool[Array, "..."]]
+
+    @property
+    def loss(self) -> Float[Array, ""]:
+        """The whole loss at the end."""
+        return sum(self.losses.values(), start=jnp.zeros((), self.curve.dtype))
+
+    @property
+    def message(self) -> str:
+        """How the fit ended, and what to do; names the parameters that ended on a bound. Not under jit."""
+        bound = [name for name, where in self.on_bound.items() if np.any(where)]
+        return str(Outcome[self.result]) + (f"; on a bound: {', '.join(bound)}" if bound else "")

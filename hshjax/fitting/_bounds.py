@@ -1,0 +1,86 @@
+"""Bounded parameters: the boxes that a model's fields declare, and the free numbers that a smooth solver moves.
+
+A two-sided box is x = low + (high - low) (1 + sin u) / 2, a one-sided one x = low + sqrt(1 + u²) - 1: both reach the
+bound itself at a finite u, with dx/du = 0 there, so that a fit can end on a bound and its derivative knows it.
+
+Source: James & Roos, MINUIT, Computer Physics Communications 10, 1975, "transformation for parameters with limits".
+"""
+
+import dataclasses
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr
+
+from hshjax._typing import Array, Bool, Real
+
+INSIDE = 1e-3
+"""Where a start on a bound is moved to, as a share of the box: on it, dx/du = 0 would hold it there for ever."""
+
+
+class Box(NamedTuple):
+    """The closed interval of a parameter and its name in the model; infinite ends bound nothing."""
+
+    name: str
+    low: float
+    high: float
+
+    @property
+    def size(self) -> float:
+        """Its width, or 1 where an end is infinite."""
+        return self.high - self.low if self.bounded == 2 else 1.0
+
+    @property
+    def bounded(self) -> int:
+        """How many ends are finite."""
+        return math.isfinite(self.low) + math.isfinite(self.high)
+
+
+def declared(model: Any) -> list[Box]:
+    """The box of every leaf, in the order of `jax.tree.leaves`; that of the innermost field that declares bounds."""
+    boxes = []
+    for path, _ in jax.tree_util.tree_leaves_with_path(model):
+        node, low, high = model, -math.inf, math.inf
+        for key in path:
+            if isinstance(key, GetAttrKey):
+                field = {f.name: f for f in dataclasses.fields(node)}.get(key.name)
+                low, high = field.metadata.get("bounds", (low, high)) if field else (low, high)
+                node = getattr(node, key.name)
+            elif isinstance(key, SequenceKey):
+                node = node[key.idx]
+            elif isinstance(key, DictKey):
+                node = node[key.key]
+            else:  # a container of somebody else's, whose fields declare nothing
+                break
+        boxes.append(Box(keystr(path).lstrip("."), low, high))
+    return boxes
+
+
+def to_bounded(u: Real, box: Box) -> Real:
+    """The parameter that a free number stands for."""
+    if box.bounded == 2:
+        return box.low + box.size / 2 * (1 + jnp.sin(u))
+    rise = u * u / (1 + jnp.sqrt(1 + u * u))  # sqrt(1 + u²) - 1, without cancellation
+    if math.isfinite(box.low):
+        return box.low + rise
+    return box.high - rise if box.bounded else u
+
+
+def to_free(x: Real, box: Box) -> Real:
+    """The free number of a parameter that lies in its box."""
+    if not box.bounded:
+        return x
+    margin = INSIDE * box.size
+    x = jnp.clip(x, box.low + margin, box.high - margin)
+    if box.bounded == 2:
+        return jnp.arcsin(2 * (x - box.low) / box.size - 1)
+    rise = x - box.low if math.isfinite(box.low) else box.high - x
+    return jnp.sqrt(rise * (rise + 2))
+
+
+def on_bound(x: Real, box: Box) -> Bool[Array, "..."]:
+    """Where a parameter has ended on a bound: nearer than an optimum inside could be told from one on it."""
+    near = box.size * float(jnp.finfo(x.dtype).eps) ** 0.4
+    return (x - box.low <= near) | (box.high - x <= near)

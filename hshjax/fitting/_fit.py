@@ -1,0 +1,202 @@
+"""The gradient-based fit: any differentiable model, any sum of residual terms, any solver."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jax.core import Tracer
+
+from hshjax._typing import Array
+from hshjax.fitting._bounds import Box, declared, on_bound, to_bounded, to_free
+from hshjax.fitting._jaxopt import Jaxopt
+from hshjax.fitting._optimistix import half_square, solve_optimistix
+from hshjax.fitting._outcome import Outcome
+from hshjax.fitting._result import IterativeFit, Model
+from hshjax.fitting._terms import AbstractTerm, l1_weight
+
+Solver = optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser | Jaxopt
+
+
+def fit(
+    model: Model,
+    objective: Mapping[str, AbstractTerm],
+    solver: Solver | None = None,
+    *,
+    trainable: Any = None,
+    max_steps: int = 256,
+    throw: bool = True,
+    on_step: Callable[[Array, Array], None] | None = None,
+) -> IterativeFit[Model]:
+    """The model that minimises ½ Σ |term(model)|², from the given one on.
+
+    **Arguments:**
+
+    - `model`: any Module: a BRDF, lights, normals, a scene. Its values are the start.
+    - `objective`: terms by name, weighted by `*`: `{"data": SampleMisfit(samples), "swap": 10.0 * Reciprocity(rule)}`.
+    - `solver`: a least-squares solver or minimiser of optimistix (`OptaxMinimiser` wraps optax), or `Jaxopt`. By
+      default Levenberg-Marquardt with tolerances of 1e-8 in float64 and 1e-4 in float32.
+    - `trainable`: what is fitted: None for every floating array, a function that picks parts,
+      `lambda scene: (scene.brdf.slope, scene.lights)`, or a pytree of booleans. The rest is held.
+    - `max_steps`: limit of steps, at least 1.
+    - `throw`: raise where the fit did not converge; otherwise `result` says how it ended.
+    - `on_step`: called from the running fit as `on_step(step, loss)`, for a display. Not under vmap.
+
+    Fields declared by `bounded` stay in their box: by a smooth transformation, or by the solver that keeps boxes. A
+    start on a bound is moved inside by 1e-3 of the box: on it the transformation has no slope.
+
+    Runs under jit and vmap (there `throw=False`, lest one bad start end all). The fitted model is differentiable in
+    what is held (data, weights, parts that are not trainable) by the implicit function theorem at the optimum, not in
+    the start.
+
+    **Raises:** ValueError for an objective that is no mapping of terms, a term that is not of floating arrays or that
+    the solver cannot take, nothing trainable, a parameter outside its bounds. RuntimeError for a fit that did not
+    converge, unless `throw` is False.
+    """
+    free, held = eqx.partition(model, chosen(model, trainable))
+    boxes = tuple(declared(free))
+    if not boxes:
+        raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
+    if max_steps < 1:
+        raise ValueError(f"max_steps must be at least 1, got {max_steps}")
+    _check_start(jax.tree.leaves(free), boxes)
+    if solver is None:
+        tolerance = 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
+        solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+    found = _run(free, held, _checked(objective, solver), solver, boxes, max_steps, on_step)
+    return _check_end(found) if throw else found
+
+
+def chosen(model: Any, trainable: Any) -> Any:
+    """The model's tree with True at every floating array that is to be fitted."""
+    floating = jax.tree.map(eqx.is_inexact_array, model)
+    if trainable is None:
+        return floating
+    if callable(trainable) and not isinstance(trainable, eqx.Module):  # a mask of a BRDF can be called, too
+        nothing = jax.tree.map(lambda _: False, floating)
+        trainable = eqx.tree_at(trainable, nothing, replace_fn=lambda part: jax.tree.map(lambda _: True, part))
+
+    def below(wanted, part):
+        return jax.tree.map(lambda leaf: leaf and bool(wanted), part)
+
+    return jax.tree.map(below, trainable, floating)
+
+
+@eqx.filter_jit
+def _run(
+    free: Any,
+    held: Any,
+    terms: dict[str, AbstractTerm],
+    solver: Solver,
+    boxes: tuple[Box, ...],
+    max_steps: int,
+    on_step: Callable[[Array, Array], None] | None,
+) -> IterativeFit:
+    leaves, structure = jax.tree.flatten(free)
+    own_boxes = isinstance(solver, Jaxopt) and solver.keeps_boxes
+    moved = tuple(Box(box.name, -math.inf, math.inf) for box in boxes) if own_boxes else boxes
+    start = [to_free(leaf, box) for leaf, box in zip(leaves, moved, strict=True)]
+    smooth = {name: term for name, term in terms.items() if l1_weight(term) is None}
+    sparse = {name: weight for name, term in terms.items() if (weight := l1_weight(term)) is not None}
+
+    def parameters(y):
+        return [to_bounded(u, box) for u, box in zip(y, moved, strict=True)]
+
+    def assemble(y, held):
+        return eqx.combine(jax.tree.unflatten(structure, parameters(y)), held)
+
+    def residuals(y, args):
+        held, smooth = args
+        model = assemble(y, held)
+        return {name: _floating(name, term(model)) for name, term in smooth.items()}
+
+    def losses(y):
+        found = {name: half_square(residual) for name, residual in residuals(y, (held, smooth)).items()}
+        size = sum(jnp.sum(jnp.abs(u)) for u in y)
+        return found | {name: weight * size for name, weight in sparse.items()}
+
+    def visit(step, loss):
+        if on_step is not None:
+            jax.debug.callback(on_step, step, loss)
+
+    start_losses = losses(start)
+    if isinstance(solver, Jaxopt):
+        low = [jnp.full_like(leaf, box.low) for leaf, box in zip(leaves, boxes, strict=True)]
+        high = [jnp.full_like(leaf, box.high) for leaf, box in zip(leaves, boxes, strict=True)]
+        l1 = sum(sparse.values(), start=jnp.zeros((), start[0].dtype))
+        y, steps, outcome, curve = solver.solve(residuals, start, (held, smooth), (low, high), l1, max_steps, visit)
+    else:
+        y, steps, outcome, curve = solve_optimistix(solver, residuals, start, (held, smooth), max_steps, visit)
+    gradient = jax.grad(lambda y: half_square(residuals(y, (held, smooth))))(y)
+    outcome = Outcome.where(_finite(losses(y)), outcome, Outcome.nonfinite)
+    outcome = Outcome.where(_finite(start_losses), outcome, Outcome.nonfinite_start)
+    return IterativeFit(
+        model=assemble(y, held),
+        result=outcome,
+        steps=steps,
+        losses=losses(y),
+        start_losses=start_losses,
+        curve=curve,
+        gradient_norm=jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0) for part in gradient])),
+        on_bound={box.name: on_bound(x, box) for x, box in zip(parameters(y), boxes, strict=True) if box.bounded},
+    )
+
+
+def _finite(losses: dict[str, Array]) -> Array:
+    return jnp.isfinite(sum(losses.values()))
+
+
+def _floating(name: str, residual: Any) -> Any:
+    leaves = jax.tree.leaves(residual)
+    if not leaves or not all(eqx.is_inexact_array(leaf) for leaf in leaves):
+        raise ValueError(f"the term {name!r} must return floating arrays (its residual), got {residual!r}")
+    return residual
+
+
+def _checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str, AbstractTerm]:
+    if not isinstance(objective, Mapping) or not objective:
+        raise ValueError(f'objective must map names to terms, {{"data": SampleMisfit(samples)}}, got {objective!r}')
+    for name, term in objective.items():
+        if not isinstance(term, AbstractTerm):
+            raise ValueError(f"the term {name!r} must be a term such as SampleMisfit, got {type(term).__name__}")
+        if l1_weight(term) is not None and not (isinstance(solver, Jaxopt) and solver.takes_sparsity):
+            raise ValueError(
+                f"the term {name!r} is an L1 norm, which has no gradient at 0: fit it with "
+                f"Jaxopt(jaxopt.ProximalGradient), not with {type(solver).__name__}"
+            )
+    if all(l1_weight(term) is not None for term in objective.values()):
+        raise ValueError("the objective needs a term beside Sparsity")
+    return dict(objective)
+
+
+def _check_start(leaves: list[Array], boxes: tuple[Box, ...]) -> None:
+    """ValueError for a start that is not finite or lies outside its box, where values can be seen."""
+    for leaf, box in zip(leaves, boxes, strict=True):
+        if isinstance(leaf, Tracer):
+            continue
+        value = np.asarray(leaf)
+        if not np.all(np.isfinite(value)):
+            raise ValueError(f"the start of {box.name or 'the model'} is not finite: {value}")
+        # A bound that a float32 cannot hold is still met by the float32 nearest to it.
+        low, high = (np.asarray(end, value.dtype) for end in (box.low, box.high))
+        if not np.all((value >= low) & (value <= high)):
+            raise ValueError(f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {value}")
+
+
+def _check_end(found: IterativeFit) -> IterativeFit:
+    """RuntimeError for a fit that did not converge; inside jit at run time."""
+    failed = found.result != Outcome.converged
+    if isinstance(failed, Tracer):
+        return found.result.error_if(found, failed)
+    if failed:
+        losses = ", ".join(f"{name} {float(loss):.3g}" for name, loss in found.losses.items())
+        start = ", ".join(f"{name} {float(loss):.3g}" for name, loss in found.start_losses.items())
+        raise RuntimeError(
+            f"fit: {found.message}. Steps: {int(found.steps)}; losses at the start: {start}; at the end: {losses}. "
+            "With throw=False the fit is returned as it is."
+        )
+    return found

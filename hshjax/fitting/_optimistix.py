@@ -1,0 +1,90 @@
+"""optimistix's solvers for `fit`: with the loss of every step kept, and an outcome that says what to do."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix as optx
+
+from hshjax._typing import Array
+from hshjax.fitting._outcome import Outcome
+
+
+def solve_optimistix(
+    solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser,
+    residuals: Callable[[Any, Any], Any],
+    start: Any,
+    args: Any,
+    max_steps: int,
+    visit: Callable[[Array, Array], None],
+) -> tuple[Any, Array, Outcome, Array]:
+    """Minimise ½|residuals(y, args)|² over the pytree y.
+
+    **Returns:** y, steps, outcome, and the loss that each step started from, NaN beyond.
+    """
+
+    def with_loss(y, args):
+        found = residuals(y, args)
+        return found, half_square(found)
+
+    kind = _RecordedMinimiser if isinstance(solver, optx.AbstractMinimiser) else _RecordedLeastSquares
+    recorded = kind(solver, max_steps, visit)
+    found = optx.least_squares(with_loss, recorded, start, args, has_aux=True, max_steps=max_steps, throw=False)
+    outcome = Outcome.stalled
+    for theirs, ours in (
+        (optx.RESULTS.successful, Outcome.converged),
+        (optx.RESULTS.nonlinear_max_steps_reached, Outcome.step_limit),
+        (optx.RESULTS.nonfinite, Outcome.nonfinite),
+    ):
+        outcome = Outcome.where(found.result == theirs, ours, outcome)
+    return found.value, found.stats["num_steps"], outcome, found.stats["curve"]
+
+
+def half_square(residual: Any) -> Array:
+    """½ Σ r² over a pytree of arrays."""
+    return jnp.stack([jnp.sum(r * r) for r in jax.tree.leaves(residual)]).sum() / 2
+
+
+class _Recorded(eqx.Module):
+    """`solver`, whose state also holds the loss that each of at most `length` steps started from.
+
+    The problem's auxiliary output must be its loss.
+    """
+
+    rtol: float
+    atol: float
+    norm: Callable[[Any], Array]
+    solver: Any
+    length: int = eqx.field(static=True)
+    visit: Callable[[Array, Array], None] = eqx.field(static=True)
+
+    def __init__(self, solver: Any, length: int, visit: Callable[[Array, Array], None]):
+        self.rtol, self.atol, self.norm = solver.rtol, solver.atol, solver.norm
+        self.solver, self.length, self.visit = solver, length, visit
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        inner = self.solver.init(fn, y, args, options, f_struct, aux_struct, tags)
+        return inner, jnp.full(self.length, jnp.nan, aux_struct.dtype), jnp.asarray(0)
+
+    def step(self, fn, y, args, options, state, tags):
+        inner, curve, count = state
+        y, inner, loss = self.solver.step(fn, y, args, options, inner, tags)
+        self.visit(count, loss)
+        return y, (inner, curve.at[count].set(loss), count + 1), loss
+
+    def terminate(self, fn, y, args, options, state, tags):
+        return self.solver.terminate(fn, y, args, options, state[0], tags)
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        y, aux, stats = self.solver.postprocess(fn, y, aux, args, options, state[0], tags, result)
+        return y, aux, stats | {"curve": state[1]}
+
+
+class _RecordedLeastSquares(_Recorded, optx.AbstractLeastSquaresSolver):
+    pass
+
+
+class _RecordedMinimiser(_Recorded, optx.AbstractMinimiser):
+    pass

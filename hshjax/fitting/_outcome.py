@@ -1,0 +1,25 @@
+"""How a gradient-based fit ended."""
+
+import equinox as eqx
+
+
+class Outcome(eqx.Enumeration):
+    """How a fit ended; the message of a member says what to do: `Outcome[fit.outcome]`."""
+
+    converged = "converged"
+    step_limit = (
+        "the step limit was reached before convergence: raise max_steps, loosen the tolerances of the solver, or look "
+        "at `curve` whether the loss still falls"
+    )
+    nonfinite_start = (
+        "the loss is not finite at the start: see `start_losses` for the term, and start from other parameters or mask "
+        "the samples in question"
+    )
+    nonfinite = (
+        "a parameter became infinite or NaN: bound the parameters, lower the step or learning rate, or take a damped "
+        "solver such as LevenbergMarquardt"
+    )
+    stalled = (
+        "the solver gave up: its linear solve or line search failed. Add a prior or a ridge where the data leave "
+        "parameters undetermined, or take a damped solver such as LevenbergMarquardt"
+    )
