@@ -32,10 +32,13 @@ from hshjax.brdfs import (
     ConstantFresnel as ConstantFresnel,
     CookTorrance as CookTorrance,
     DielectricFresnel as DielectricFresnel,
+    ExpBRDF as ExpBRDF,
     Lambert as Lambert,
     LinearBRDF as LinearBRDF,
     OrenNayar as OrenNayar,
     SchlickFresnel as SchlickFresnel,
+    SoftplusBRDF as SoftplusBRDF,
+    SquaredBRDF as SquaredBRDF,
     TabulatedBRDF as TabulatedBRDF,
     Ward as Ward,
     bounded as bounded,
@@ -66,10 +69,14 @@ from hshjax.fitting import (
     Smoothness as Smoothness,
     Sparsity as Sparsity,
     fit as fit,
+    largest_sparsity_weight as largest_sparsity_weight,
     misfit as misfit,
     order_sweep as order_sweep,
+    positive_start as positive_start,
     project as project,
+    project_all as project_all,
     relative_error as relative_error,
+    sparsity_path as sparsity_path,
 )
 from hshjax.geometry import angles as angles, direction as direction, half_vector as half_vector
 from hshjax.metrics import (

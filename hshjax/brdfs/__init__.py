@@ -17,5 +17,11 @@ from hshjax.brdfs._fresnel import (
 from hshjax.brdfs._linear import LinearBRDF as LinearBRDF
 from hshjax.brdfs._lobes import BlinnPhong as BlinnPhong, Ward as Ward
 from hshjax.brdfs._microfacet import GGX as GGX, CookTorrance as CookTorrance
+from hshjax.brdfs._positive import (
+    AbstractPositiveBRDF as AbstractPositiveBRDF,
+    ExpBRDF as ExpBRDF,
+    SoftplusBRDF as SoftplusBRDF,
+    SquaredBRDF as SquaredBRDF,
+)
 from hshjax.brdfs._rgl_table import RGLTable as RGLTable
 from hshjax.brdfs._tabulated import TabulatedBRDF as TabulatedBRDF

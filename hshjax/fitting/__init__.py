@@ -1,5 +1,6 @@
 """Fits in closed form: projections in named norms, and the errors of all orders at once. Fits by gradients: `fit`."""
 
+from hshjax.fitting._batch import project_all as project_all
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
 from hshjax.fitting._mappings import (
@@ -13,6 +14,7 @@ from hshjax.fitting._mappings import (
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._outcome import Outcome as Outcome
+from hshjax.fitting._positive_start import positive_start as positive_start
 from hshjax.fitting._project import project as project
 from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit
 from hshjax.fitting._robust import (
@@ -20,6 +22,10 @@ from hshjax.fitting._robust import (
     Cauchy as Cauchy,
     GemanMcClure as GemanMcClure,
     Huber as Huber,
+)
+from hshjax.fitting._sparsity_path import (
+    largest_sparsity_weight as largest_sparsity_weight,
+    sparsity_path as sparsity_path,
 )
 from hshjax.fitting._sweep import IsotropicTable as IsotropicTable, order_sweep as order_sweep
 from hshjax.fitting._terms import (

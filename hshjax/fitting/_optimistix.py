@@ -30,7 +30,7 @@ def solve_optimistix(
         return found, half_square(found)
 
     kind = _RecordedMinimiser if isinstance(solver, optx.AbstractMinimiser) else _RecordedLeastSquares
-    recorded = kind(solver, max_steps, visit)
+    recorded = kind(solver.rtol, solver.atol, solver.norm, solver, max_steps, visit)
     found = optx.least_squares(with_loss, recorded, start, args, has_aux=True, max_steps=max_steps, throw=False)
     outcome = Outcome.stalled
     for theirs, ours in (
@@ -59,10 +59,6 @@ class _Recorded(eqx.Module):
     solver: Any
     length: int = eqx.field(static=True)
     visit: Callable[[Array, Array], None] = eqx.field(static=True)
-
-    def __init__(self, solver: Any, length: int, visit: Callable[[Array, Array], None]):
-        self.rtol, self.atol, self.norm = solver.rtol, solver.atol, solver.norm
-        self.solver, self.length, self.visit = solver, length, visit
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         inner = self.solver.init(fn, y, args, options, f_struct, aux_struct, tags)

@@ -10,9 +10,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.bases import TensorBasis
+from hshjax.brdfs._base import floating
 from hshjax.brdfs._linear import LinearBRDF
 from hshjax.fitting._mappings import AbstractMapping, Identity
 from hshjax.fitting._robust import AbstractRobustLoss
@@ -28,16 +30,24 @@ class AbstractTerm(eqx.Module):
         """The residual r."""
 
     def __mul__(self, weight: Real | float) -> "Weighted":
-        return Weighted(self, jnp.asarray(weight))
+        return Weighted(self, floating(weight))
 
     __rmul__ = __mul__
 
 
 class Weighted(AbstractTerm):
-    """weight x term: the loss of the term times `weight` >= 0."""
+    """weight x term: the loss of the term times `weight` >= 0.
+
+    **Raises:** ValueError for a weight that is negative or no scalar.
+    """
 
     term: AbstractTerm
     weight: Float[Array, ""]
+
+    def __check_init__(self):
+        seen = not isinstance(self.weight, Tracer)
+        if self.weight.shape != () or (seen and not self.weight >= 0):
+            raise ValueError(f"the weight of a term must be a scalar >= 0, got {self.weight}")
 
     def __call__(self, model):
         return jax.tree.map(lambda r: jnp.sqrt(self.weight).astype(r.dtype) * r, self.term(model))
