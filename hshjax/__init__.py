@@ -57,6 +57,7 @@ from hshjax.fitting import (
     IsotropicTable as IsotropicTable,
     IterativeFit as IterativeFit,
     Jaxopt as Jaxopt,
+    LevenbergMarquardt as LevenbergMarquardt,
     LogCosineWeighted as LogCosineWeighted,
     LogRelative as LogRelative,
     NonNegativity as NonNegativity,

@@ -3,6 +3,7 @@
 from hshjax.fitting._batch import project_all as project_all
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
+from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from hshjax.fitting._mappings import (
     AbstractMapping as AbstractMapping,
     CosineWeighted as CosineWeighted,

@@ -14,6 +14,7 @@ from jax.core import Tracer
 from hshjax._typing import Array
 from hshjax.fitting._bounds import Box, declared, on_bound, to_bounded, to_free
 from hshjax.fitting._jaxopt import Jaxopt
+from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
 from hshjax.fitting._optimistix import half_square, solve_optimistix
 from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._result import IterativeFit, Model
@@ -36,10 +37,11 @@ def fit(
 
     **Arguments:**
 
-    - `model`: any Module: a BRDF, lights, normals, a scene. Its values are the start.
+    - `model`: any Module or pytree of them: a BRDF, lights, normals, a scene. Its values are the start.
     - `objective`: terms by name, weighted by `*`: `{"data": SampleMisfit(samples), "swap": 10.0 * Reciprocity(rule)}`.
     - `solver`: a least-squares solver or minimiser of optimistix (`OptaxMinimiser` wraps optax), or `Jaxopt`. By
-      default Levenberg-Marquardt with tolerances of 1e-8 in float64 and 1e-4 in float32.
+      default `LevenbergMarquardt` with tolerances of 1e-8 in float64 and 1e-4 in float32. More unknowns than some
+      thousands (normals of an image, say) ask for a solver without a Jacobian: `optimistix.LBFGS`, `Jaxopt`.
     - `trainable`: what is fitted: None for every floating array, a function that picks parts,
       `lambda scene: (scene.brdf.slope, scene.lights)`, or a pytree of booleans. The rest is held.
     - `max_steps`: limit of steps, at least 1.
@@ -66,7 +68,7 @@ def fit(
     _check_start(jax.tree.leaves(free), boxes)
     if solver is None:
         tolerance = 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
-        solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
+        solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
     found = _run(free, held, _checked(objective, solver), solver, boxes, max_steps, on_step)
     return _check_end(found) if throw else found
 

@@ -10,7 +10,7 @@ from hshjax._typing import Array, Bool, Float, Int
 from hshjax.fitting._outcome import Outcome
 from hshjax.metrics import ReciprocityError
 
-Model = TypeVar("Model", bound=eqx.Module)
+Model = TypeVar("Model")
 
 
 class Fit(eqx.Module, Generic[Model]):

@@ -12,6 +12,7 @@ from hshjax.bases import HSH, HelmholtzBasis, IsotropicBasis, TensorBasis, Zerni
 from hshjax.brdfs import CookTorrance, Lambert, LinearBRDF
 from hshjax.fitting import (
     Jaxopt,
+    LevenbergMarquardt,
     Outcome,
     Prior,
     Reciprocity,
@@ -50,7 +51,8 @@ def jaxopt_solver(name, **options):
 # see gradients only end where the loss, flat to sqrt(eps), tells nothing more, or at their tolerance.
 SOLVERS = {
     "GaussNewton": (optx.GaussNewton(rtol=FINE, atol=FINE), 1e-12),
-    "LevenbergMarquardt": (optx.LevenbergMarquardt(rtol=FINE, atol=FINE), 1e-10),
+    "LevenbergMarquardt": (LevenbergMarquardt(rtol=FINE, atol=FINE), 1e-10),
+    "optimistix_LevenbergMarquardt": (optx.LevenbergMarquardt(rtol=FINE, atol=FINE), 1e-10),
     "Dogleg": (optx.Dogleg(rtol=FINE, atol=FINE), 1e-10),
     "BFGS": (optx.BFGS(rtol=FINE, atol=FINE), 1e-6),
     "LBFGS": (optx.LBFGS(rtol=FINE, atol=FINE), 1e-6),
@@ -124,6 +126,26 @@ def test_only_what_is_trainable_moves():
     mask = eqx.tree_at(lambda b: b.specular, jax.tree.map(lambda _: True, start), False)
     same = fit(start, {"data": SampleMisfit(CLEAN)}, trainable=mask, throw=X64)
     assert_close(same.model.slope, found.model.slope, tolerance=1e-6 if X64 else 1e-3)
+
+
+def test_steps_do_not_depend_on_units():
+    """Of the residuals, nor of a parameter: the damping is relative."""
+    start = CookTorrance(0.5, 0.5, 0.5)
+    plain, heavy = (
+        fit(start, {"data": weight * SampleMisfit(CLEAN)}, max_steps=30, throw=X64) for weight in (1.0, 1e6)
+    )
+    assert plain.steps == heavy.steps or not X64
+    assert_close(plain.model.slope, heavy.model.slope, tolerance=1e-6 if X64 else 1e-3)
+
+    class Milli(AbstractTerm):
+        """The same model in other units of its slope."""
+
+        def __call__(self, model):
+            return SampleMisfit(CLEAN)(CookTorrance(model["diffuse"], 0.5, model["slope"] / 1000))
+
+    small = {"diffuse": jnp.asarray(0.5, DTYPE), "slope": jnp.asarray(500.0, DTYPE)}
+    found = fit(small, {"data": Milli()}, max_steps=30, throw=X64)
+    assert_close(found.model["slope"] / 1000, TRUTH.slope, tolerance=1e-6 if X64 else 1e-3)
 
 
 @pytest.mark.parametrize("name", ["LBFGSB", "ProjectedGradient"])
