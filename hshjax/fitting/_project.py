@@ -180,12 +180,22 @@ def _(basis, norm, primals, tangents):
     """By the implicit function theorem, at the optimum: (BᵀWB + Γ) dc = d[BᵀW(f - Bc) - Γc] with c held.
 
     Not through the factorisation: R's last columns are singular where a channel lies in the span of the basis, and the
-    derivative of QR is wrong there without a sign of it. Condition, R and its root count as constants.
+    derivative of QR is wrong there without a sign of it. Condition, R and its root count as constants; the solve knows
+    its matrix as a function of the samples, for the sake of second derivatives.
     """
     coefficients, condition, factor, root = _least_squares(basis, norm, *primals)
-    held = jax.lax.stop_gradient(coefficients)
-    tangent = jax.jvp(lambda samples, gamma: _normal_residual(basis, norm, samples, gamma, held), primals, tangents)[1]
-    tangent = solve_triangular(root, solve_triangular(root, tangent, trans=1))
+
+    def residual(samples, gamma):
+        return _normal_residual(basis, norm, samples, gamma, coefficients)
+
+    def product(v):  # (BᵀWB + Γ) v: the residual is affine in c
+        return -jax.jvp(lambda c: _normal_residual(basis, norm, *primals, c), (coefficients,), (v,))[1]
+
+    def solve(_, right):
+        return solve_triangular(root, solve_triangular(root, right, trans=1))
+
+    tangent = jax.jvp(residual, primals, tangents)[1]
+    tangent = jax.lax.custom_linear_solve(product, tangent, solve, symmetric=True)
     constants = (condition, factor, root)
     return (coefficients, *constants), (tangent, *(jnp.zeros_like(constant) for constant in constants))
 
