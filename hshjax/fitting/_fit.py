@@ -134,13 +134,15 @@ def _run(
     else:
         y, steps, outcome, curve = solve_optimistix(solver, residuals, start, (held, smooth), max_steps, visit)
     gradient = jax.grad(lambda y: half_square(residuals(y, (held, smooth))))(y)
-    outcome = Outcome.where(_finite(losses(y)), outcome, Outcome.nonfinite)
+    end = losses(y)
+    curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
+    outcome = Outcome.where(_finite(end), outcome, Outcome.nonfinite)
     outcome = Outcome.where(_finite(start_losses), outcome, Outcome.nonfinite_start)
     return IterativeFit(
         model=assemble(y, held),
         result=outcome,
         steps=steps,
-        losses=losses(y),
+        losses=end,
         start_losses=start_losses,
         curve=curve,
         gradient_norm=jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0) for part in gradient])),

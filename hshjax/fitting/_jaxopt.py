@@ -57,7 +57,7 @@ class Jaxopt(eqx.Module):
     ) -> tuple[Any, Array, Outcome, Array]:
         """Minimise ½|residuals(y, args)|² + sparsity Σ|y| over the pytree y in its box.
 
-        **Returns:** y, steps, outcome, and the loss that each step started from, NaN beyond.
+        **Returns:** y, steps, outcome, and the loss that each of `max_steps` steps started from, 0 beyond.
         """
         from jaxopt import implicit_diff
 
@@ -96,7 +96,7 @@ class Jaxopt(eqx.Module):
                 _, state, _, k = carry
                 return (k < max_steps) & (state.error > solver.tol)
 
-            curve = jnp.full(max_steps, jnp.nan, y.dtype)
+            curve = jnp.zeros(max_steps, y.dtype)
             # Once by hand: states settle in their dtypes with the first update.
             carry = step((y, solver.init_state(y, *arguments), curve, jnp.asarray(0)))
             y, state, curve, k = jax.lax.while_loop(go_on, step, carry)

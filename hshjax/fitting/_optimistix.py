@@ -22,7 +22,7 @@ def solve_optimistix(
 ) -> tuple[Any, Array, Outcome, Array]:
     """Minimise ½|residuals(y, args)|² over the pytree y.
 
-    **Returns:** y, steps, outcome, and the loss that each step started from, NaN beyond.
+    **Returns:** y, steps, outcome, and the loss that each of `max_steps` steps started from, 0 beyond.
     """
 
     def with_loss(y, args):
@@ -62,7 +62,7 @@ class _Recorded(eqx.Module):
 
     def init(self, fn, y, args, options, f_struct, aux_struct, tags):
         inner = self.solver.init(fn, y, args, options, f_struct, aux_struct, tags)
-        return inner, jnp.full(self.length, jnp.nan, aux_struct.dtype), jnp.asarray(0)
+        return inner, jnp.zeros(self.length, aux_struct.dtype), jnp.asarray(0)
 
     def step(self, fn, y, args, options, state, tags):
         inner, curve, count = state

@@ -47,7 +47,7 @@ class IterativeFit(eqx.Module, Generic[Model]):
 
     - `model`: the fitted model. - `result`: how the fit ended, `message` in words. - `steps`: how many were taken.
     - `losses`, `start_losses`: by the name of the term, at the end and at the start.
-    - `curve`: `(max_steps,)`, the whole loss that every step started from, NaN beyond the last step.
+    - `curve`: `(max_steps + 1,)`, the whole loss at the start and after every step; beyond the last one it stays.
     - `gradient_norm`: largest derivative of the loss by a free number (after the transformation of bounded ones).
     - `on_bound`: by the name of a bounded field, where it has ended on a bound.
     """
@@ -57,7 +57,7 @@ class IterativeFit(eqx.Module, Generic[Model]):
     steps: Int[Array, ""]
     losses: dict[str, Float[Array, ""]]
     start_losses: dict[str, Float[Array, ""]]
-    curve: Float[Array, " max_steps"]
+    curve: Float[Array, " points"]
     gradient_norm: Float[Array, ""]
     on_bound: dict[str, Bool[Array, "..."]]
 
