@@ -104,7 +104,8 @@ def _run(
     sparse = {name: weight for name, term in terms.items() if (weight := l1_weight(term)) is not None}
 
     def parameters(y):
-        return [to_bounded(u, box) for u, box in zip(y, moved, strict=True)]
+        # Behind a barrier, or XLA fuses the sine into the residuals and takes it once for every one of them.
+        return jax.lax.optimization_barrier([to_bounded(u, box) for u, box in zip(y, moved, strict=True)])
 
     def assemble(y, held):
         return eqx.combine(jax.tree.unflatten(structure, parameters(y)), held)
