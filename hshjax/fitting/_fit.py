@@ -133,8 +133,8 @@ def _run(
     else:
         y, steps, outcome, curve = solve_optimistix(solver, residuals, start, (held, smooth), max_steps, visit)
     gradient = jax.grad(lambda y: half_square(residuals(y, (held, smooth))))(y)
-    outcome = Outcome.where(_finite(losses(y)), outcome, Outcome.nonfinite)
-    outcome = Outcome.where(_finite(start_losses), outcome, Outcome.nonfinite_start)
+    outcome = Outcome.where(_finite(losses(y), y), outcome, Outcome.nonfinite)
+    outcome = Outcome.where(_finite(start_losses, start), outcome, Outcome.nonfinite_start)
     return IterativeFit(
         model=assemble(y, held),
         result=outcome,
@@ -147,8 +147,9 @@ def _run(
     )
 
 
-def _finite(losses: dict[str, Array]) -> Array:
-    return jnp.isfinite(sum(losses.values()))
+def _finite(losses: dict[str, Array], y: list[Array]) -> Array:
+    """Whether all are: a model may well have a finite loss where a parameter is NaN, as a lobe that masks its tail."""
+    return jnp.isfinite(sum(losses.values())) & jnp.stack([jnp.all(jnp.isfinite(u)) for u in y]).all()
 
 
 def _floating(name: str, residual: Any) -> Any:
