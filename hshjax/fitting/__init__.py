@@ -1,7 +1,9 @@
 """Fits in closed form: projections in named norms, and the errors of all orders at once. Fits by gradients: `fit`."""
 
 from hshjax.fitting._fit import fit as fit
+from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
+from hshjax.fitting._levenberg import NormalLevenbergMarquardt as NormalLevenbergMarquardt
 from hshjax.fitting._mappings import (
     AbstractMapping as AbstractMapping,
     CosineWeighted as CosineWeighted,
@@ -11,10 +13,11 @@ from hshjax.fitting._mappings import (
     LogRelative as LogRelative,
 )
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
+from hshjax.fitting._multi_start import multi_start as multi_start
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._outcome import Outcome as Outcome
 from hshjax.fitting._project import project as project
-from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit
+from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit, MultiStart as MultiStart
 from hshjax.fitting._robust import (
     AbstractRobustLoss as AbstractRobustLoss,
     Cauchy as Cauchy,

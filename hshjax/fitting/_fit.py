@@ -1,7 +1,7 @@
 """The gradient-based fit: any differentiable model, any sum of residual terms, any solver."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -63,12 +63,18 @@ def fit(
         raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
     if max_steps < 1:
         raise ValueError(f"max_steps must be at least 1, got {max_steps}")
-    _check_start(jax.tree.leaves(free), boxes)
+    leaves = jax.tree.leaves(free)
+    _check_finite(leaves, boxes)
+    check_bounds(leaves, boxes)
     if solver is None:
-        tolerance = 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
-        solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    found = _run(free, held, _checked(objective, solver), solver, boxes, max_steps, on_step)
-    return _check_end(found) if throw else found
+        solver = optx.LevenbergMarquardt(rtol=default_tolerance(free), atol=default_tolerance(free))
+    found = _run(free, held, checked(objective, solver), solver, boxes, max_steps, on_step)
+    return check_end(found) if throw else found
+
+
+def default_tolerance(free: Any) -> float:
+    """Of the default solver, for the dtype of what is trainable."""
+    return 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
 
 
 def chosen(model: Any, trainable: Any) -> Any:
@@ -159,7 +165,8 @@ def _floating(name: str, residual: Any) -> Any:
     return residual
 
 
-def _checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str, AbstractTerm]:
+def checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str, AbstractTerm]:
+    """The objective as a dictionary; ValueError for one that is no mapping of terms that the solver can take."""
     if not isinstance(objective, Mapping) or not objective:
         raise ValueError(f'objective must map names to terms, {{"data": SampleMisfit(samples)}}, got {objective!r}')
     for name, term in objective.items():
@@ -175,21 +182,26 @@ def _checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str,
     return dict(objective)
 
 
-def _check_start(leaves: list[Array], boxes: tuple[Box, ...]) -> None:
-    """ValueError for a start that is not finite or lies outside its box, where values can be seen."""
+def _check_finite(leaves: list[Array], boxes: Sequence[Box]) -> None:
+    """ValueError for a start that is not finite, where values can be seen."""
+    for leaf, box in zip(leaves, boxes, strict=True):
+        if not isinstance(leaf, Tracer) and not np.all(np.isfinite(leaf)):
+            raise ValueError(f"the start of {box.name or 'the model'} is not finite: {np.asarray(leaf)}")
+
+
+def check_bounds(leaves: list[Array], boxes: Sequence[Box]) -> None:
+    """ValueError for a start outside its box, where values can be seen; NaN is in none and passes."""
     for leaf, box in zip(leaves, boxes, strict=True):
         if isinstance(leaf, Tracer):
             continue
         value = np.asarray(leaf)
-        if not np.all(np.isfinite(value)):
-            raise ValueError(f"the start of {box.name or 'the model'} is not finite: {value}")
         # A bound that a float32 cannot hold is still met by the float32 nearest to it.
         low, high = (np.asarray(end, value.dtype) for end in (box.low, box.high))
-        if not np.all((value >= low) & (value <= high)):
+        if np.any((value < low) | (value > high)):
             raise ValueError(f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {value}")
 
 
-def _check_end(found: IterativeFit) -> IterativeFit:
+def check_end(found: IterativeFit) -> IterativeFit:
     """RuntimeError for a fit that did not converge; inside jit at run time."""
     failed = found.result != Outcome.converged
     if isinstance(failed, Tracer):
