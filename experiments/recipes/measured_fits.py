@@ -103,8 +103,8 @@ def run(config: Config, record: Record) -> None:
     times = record.stage("times", _times, config, list(samples.values()))
     record.table(
         "times", times,
-        "Seconds for all materials, compiled, median of interleaved repeats on the machine of the manifest. Linear: one "
-        "factorisation for all against a jitted projection for each. Parametric: one vmapped call against a call each, "
+        "Seconds for all materials, compiled, median of interleaved repeats on the machine of the manifest. Linear: "
+        "one factorisation for all against a jitted projection each. Parametric: one vmapped call against a call each, "
         f"over {min(config.timed, len(samples))} materials.",
     )  # fmt: skip
 

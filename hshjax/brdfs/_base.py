@@ -12,9 +12,30 @@ from hshjax.brdfs._parameters import check_parameters
 from hshjax.geometry import as_directions, dot
 
 
-def bounded(low: float, high: float, **kwargs) -> Any:
-    """A parameter field that a fit keeps in [low, high] (`bounds` in its metadata); an array of any float dtype."""
-    return eqx.field(converter=floating, metadata={"bounds": (low, high)}, **kwargs)
+def bounded(
+    low: float,
+    high: float,
+    *,
+    amplitude: bool = False,
+    search: tuple[float, float] | None = None,
+    logarithmic: bool = False,
+    **kwargs,
+) -> Any:
+    """A parameter field: an array of any float dtype, with metadata for those who fit it.
+
+    - `low`, `high`: the box that a fit keeps it in (`bounds` in the metadata).
+    - `amplitude`: whether ρ is linear in it, so that a guess can solve for it (`amplitude`).
+    - `search`: where a guess looks for it if it is no amplitude, narrower than the box (`search`); None for the box.
+    - `logarithmic`: whether a guess looks there in equal ratios instead of equal steps (`logarithmic`).
+
+    **Raises:** ValueError for a search outside the box, or a logarithmic one that is not above 0.
+    """
+    if search is not None and not (low <= search[0] < search[1] <= high):
+        raise ValueError(f"a search range lies in the box [{low:g}, {high:g}], got {search}")
+    if logarithmic and (search is None or search[0] <= 0):
+        raise ValueError(f"a logarithmic search needs a range above 0, got {search}")
+    metadata = {"bounds": (low, high), "amplitude": amplitude, "search": search, "logarithmic": logarithmic}
+    return eqx.field(converter=floating, metadata=metadata, **kwargs)
 
 
 def floating(value: Any) -> Array:
@@ -88,7 +109,7 @@ class ScaledBRDF(AbstractBRDF):
     """scale x brdf; `scale` is a scalar or one factor per channel."""
 
     brdf: AbstractBRDF
-    scale: Real = bounded(0.0, float("inf"))
+    scale: Real = bounded(0.0, float("inf"), amplitude=True)
 
     def __check_init__(self):
         if not isinstance(self.brdf, AbstractBRDF):

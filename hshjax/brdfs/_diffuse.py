@@ -16,7 +16,7 @@ class Lambert(AbstractBRDF):
     **Raises:** ValueError for parameters of other shapes.
     """
 
-    albedo: Real = bounded(0.0, 1.0)
+    albedo: Real = bounded(0.0, 1.0, amplitude=True)
 
     def __check_init__(self):
         check_parameters(self, spectra=("albedo",))
@@ -42,8 +42,8 @@ class OrenNayar(AbstractBRDF):
     **Raises:** ValueError for parameters of other shapes.
     """
 
-    albedo: Real = bounded(0.0, 1.0)
-    sigma: Float[Array, ""] = bounded(0.0, jnp.pi / 2)
+    albedo: Real = bounded(0.0, 1.0, amplitude=True)
+    sigma: Float[Array, ""] = bounded(0.0, jnp.pi / 2, search=(0.05, 1.2))
     full: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):

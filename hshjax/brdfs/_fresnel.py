@@ -60,7 +60,7 @@ class SchlickFresnel(AbstractFresnel):
     Source: Schlick, An Inexpensive BRDF Model for Physically-based Rendering, Computer Graphics Forum 13(3), 1994.
     """
 
-    f0: Real = bounded(0.0, 1.0)
+    f0: Real = bounded(0.0, 1.0, search=(0.02, 0.9), logarithmic=True)
 
     def __check_init__(self):
         check_parameters(self, spectra=("f0",))
@@ -77,7 +77,7 @@ class DielectricFresnel(AbstractFresnel):
     Source: Born & Wolf, Principles of Optics, 7th ed., section 1.5.2; mean of both polarisations.
     """
 
-    eta: Real = bounded(0.25, 4.0)
+    eta: Real = bounded(0.25, 4.0, search=(1.2, 2.5))
 
     def __check_init__(self):
         check_parameters(self, spectra=("eta",))
@@ -97,8 +97,8 @@ class ConductorFresnel(AbstractFresnel):
     Source: Born & Wolf, Principles of Optics, 7th ed., section 14.2; mean of both polarisations.
     """
 
-    eta: Real = bounded(0.01, 10.0)
-    k: Real = bounded(0.0, 20.0)
+    eta: Real = bounded(0.01, 10.0, search=(0.1, 5.0), logarithmic=True)
+    k: Real = bounded(0.0, 20.0, search=(0.5, 10.0), logarithmic=True)
 
     def __check_init__(self):
         check_parameters(self, spectra=("eta", "k"))

@@ -24,8 +24,8 @@ class BlinnPhong(AbstractBRDF):
     **Raises:** ValueError for parameters of other shapes.
     """
 
-    specular: Real = bounded(0.0, 1.0)
-    exponent: Float[Array, ""] = bounded(0.0, 1000.0)
+    specular: Real = bounded(0.0, 1.0, amplitude=True)
+    exponent: Float[Array, ""] = bounded(0.0, 1000.0, search=(2.0, 1000.0), logarithmic=True)
 
     def __check_init__(self):
         check_parameters(self, spectra=("specular",), scalars=("exponent",))
@@ -54,9 +54,9 @@ class Ward(AbstractBRDF):
     **Raises:** ValueError for parameters of other shapes.
     """
 
-    specular: Real = bounded(0.0, 1.0)
-    alpha_x: Float[Array, ""] = bounded(1e-3, 1.0)
-    alpha_y: Float[Array, ""] = bounded(1e-3, 1.0)
+    specular: Real = bounded(0.0, 1.0, amplitude=True)
+    alpha_x: Float[Array, ""] = bounded(1e-3, 1.0, search=(0.03, 0.9), logarithmic=True)
+    alpha_y: Float[Array, ""] = bounded(1e-3, 1.0, search=(0.03, 0.9), logarithmic=True)
     original: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):

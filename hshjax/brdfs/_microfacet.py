@@ -31,9 +31,9 @@ class CookTorrance(AbstractBRDF):
     **Raises:** ValueError for parameters of other shapes.
     """
 
-    diffuse: Real = bounded(0.0, 1.0)
-    specular: Real = bounded(0.0, 1.0)
-    slope: Float[Array, ""] = bounded(1e-3, 1.0)
+    diffuse: Real = bounded(0.0, 1.0, amplitude=True)
+    specular: Real = bounded(0.0, 1.0, amplitude=True)
+    slope: Float[Array, ""] = bounded(1e-3, 1.0, search=(0.03, 0.9), logarithmic=True)
     fresnel: AbstractFresnel = eqx.field(default_factory=ConstantFresnel)
 
     def __check_init__(self):
@@ -67,8 +67,8 @@ class GGX(AbstractBRDF):
     **Raises:** ValueError for parameters of other shapes.
     """
 
-    specular: Real = bounded(0.0, 1.0)
-    roughness: Float[Array, ""] = bounded(1e-3, 1.0)
+    specular: Real = bounded(0.0, 1.0, amplitude=True)
+    roughness: Float[Array, ""] = bounded(1e-3, 1.0, search=(0.03, 0.9), logarithmic=True)
     fresnel: AbstractFresnel = eqx.field(default_factory=ConstantFresnel)
     height_correlated: bool = eqx.field(static=True, default=False)
 

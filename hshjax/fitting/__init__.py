@@ -2,6 +2,7 @@
 
 from hshjax.fitting._batch import project_all as project_all
 from hshjax.fitting._fit import fit as fit
+from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from hshjax.fitting._mappings import (
@@ -13,11 +14,12 @@ from hshjax.fitting._mappings import (
     LogRelative as LogRelative,
 )
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
+from hshjax.fitting._multi_start import multi_start as multi_start
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._outcome import Outcome as Outcome
 from hshjax.fitting._positive_start import positive_start as positive_start
 from hshjax.fitting._project import project as project
-from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit
+from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit, MultiStart as MultiStart
 from hshjax.fitting._robust import (
     AbstractRobustLoss as AbstractRobustLoss,
     Cauchy as Cauchy,

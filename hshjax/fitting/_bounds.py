@@ -8,11 +8,12 @@ Source: James & Roos, MINUIT, Computer Physics Communications 10, 1975, "transfo
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.tree_util import DictKey, GetAttrKey, SequenceKey, keystr
+from jax.tree_util import DictKey, GetAttrKey, KeyPath, SequenceKey, keystr
 
 from hshjax._typing import Array, Bool, Real
 
@@ -42,20 +43,35 @@ def declared(model: Any) -> list[Box]:
     """The box of every leaf, in the order of `jax.tree.leaves`; that of the innermost field that declares bounds."""
     boxes = []
     for path, _ in jax.tree_util.tree_leaves_with_path(model):
-        node, low, high = model, -math.inf, math.inf
-        for key in path:
-            if isinstance(key, GetAttrKey):
-                field = {f.name: f for f in dataclasses.fields(node)}.get(key.name)
-                low, high = field.metadata.get("bounds", (low, high)) if field else (low, high)
-                node = getattr(node, key.name)
-            elif isinstance(key, SequenceKey):
-                node = node[key.idx]
-            elif isinstance(key, DictKey):
-                node = node[key.key]
-            else:  # a container of somebody else's, whose fields declare nothing
-                break
-        boxes.append(Box(keystr(path).lstrip("."), low, high))
+        _, metadata = declaration(model, path)
+        boxes.append(Box(path_name(path), *metadata.get("bounds", (-math.inf, math.inf))))
     return boxes
+
+
+def declaration(model: Any, path: KeyPath) -> tuple[KeyPath, Mapping[str, Any]]:
+    """The innermost field on a leaf's path that declares bounds: the path of the module it belongs to, its metadata.
+
+    The path and an empty mapping where none does.
+    """
+    node, found = model, (path, {})
+    for depth, key in enumerate(path):
+        if isinstance(key, GetAttrKey):
+            field = {f.name: f for f in dataclasses.fields(node)}.get(key.name)
+            if field and "bounds" in field.metadata:
+                found = path[:depth], field.metadata
+            node = getattr(node, key.name)
+        elif isinstance(key, SequenceKey):
+            node = node[key.idx]
+        elif isinstance(key, DictKey):
+            node = node[key.key]
+        else:  # a container of somebody else's, whose fields declare nothing
+            break
+    return found
+
+
+def path_name(path: KeyPath) -> str:
+    """A leaf's path as it is written in Python, `brdf.slope`."""
+    return keystr(path).lstrip(".")
 
 
 def to_bounded(u: Real, box: Box) -> Real:

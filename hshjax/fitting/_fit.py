@@ -1,7 +1,7 @@
 """The gradient-based fit: any differentiable model, any sum of residual terms, any solver."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -65,12 +65,18 @@ def fit(
         raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
     if max_steps < 1:
         raise ValueError(f"max_steps must be at least 1, got {max_steps}")
-    _check_start(jax.tree.leaves(free), boxes)
+    leaves = jax.tree.leaves(free)
+    _check_finite(leaves, boxes)
+    check_bounds(leaves, boxes)
     if solver is None:
-        tolerance = 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
-        solver = LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    found = _run(free, held, _checked(objective, solver), solver, boxes, max_steps, on_step)
-    return _check_end(found) if throw else found
+        solver = LevenbergMarquardt(rtol=default_tolerance(free), atol=default_tolerance(free))
+    found = _run(free, held, checked(objective, solver), solver, boxes, max_steps, on_step)
+    return check_end(found) if throw else found
+
+
+def default_tolerance(free: Any) -> float:
+    """Of the default solver, for the dtype of what is trainable."""
+    return 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
 
 
 def chosen(model: Any, trainable: Any) -> Any:
@@ -106,7 +112,8 @@ def _run(
     sparse = {name: weight for name, term in terms.items() if (weight := l1_weight(term)) is not None}
 
     def parameters(y):
-        return [to_bounded(u, box) for u, box in zip(y, moved, strict=True)]
+        # Behind a barrier, or XLA fuses the sine into the residuals and takes it once for every one of them.
+        return jax.lax.optimization_barrier([to_bounded(u, box) for u, box in zip(y, moved, strict=True)])
 
     def assemble(y, held):
         return eqx.combine(jax.tree.unflatten(structure, parameters(y)), held)
@@ -136,8 +143,8 @@ def _run(
     gradient = jax.grad(lambda y: half_square(residuals(y, (held, smooth))))(y)
     end = losses(y)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
-    outcome = Outcome.where(_finite(end), outcome, Outcome.nonfinite)
-    outcome = Outcome.where(_finite(start_losses), outcome, Outcome.nonfinite_start)
+    outcome = Outcome.where(_finite(end, y), outcome, Outcome.nonfinite)
+    outcome = Outcome.where(_finite(start_losses, start), outcome, Outcome.nonfinite_start)
     return IterativeFit(
         model=assemble(y, held),
         result=outcome,
@@ -150,8 +157,9 @@ def _run(
     )
 
 
-def _finite(losses: dict[str, Array]) -> Array:
-    return jnp.isfinite(sum(losses.values()))
+def _finite(losses: dict[str, Array], y: list[Array]) -> Array:
+    """Whether all are: a model may well have a finite loss where a parameter is NaN, as a lobe that masks its tail."""
+    return jnp.isfinite(sum(losses.values())) & jnp.stack([jnp.all(jnp.isfinite(u)) for u in y]).all()
 
 
 def _floating(name: str, residual: Any) -> Any:
@@ -161,7 +169,8 @@ def _floating(name: str, residual: Any) -> Any:
     return residual
 
 
-def _checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str, AbstractTerm]:
+def checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str, AbstractTerm]:
+    """The objective as a dictionary; ValueError for one that is no mapping of terms that the solver can take."""
     if not isinstance(objective, Mapping) or not objective:
         raise ValueError(f'objective must map names to terms, {{"data": SampleMisfit(samples)}}, got {objective!r}')
     for name, term in objective.items():
@@ -177,21 +186,26 @@ def _checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str,
     return dict(objective)
 
 
-def _check_start(leaves: list[Array], boxes: tuple[Box, ...]) -> None:
-    """ValueError for a start that is not finite or lies outside its box, where values can be seen."""
+def _check_finite(leaves: list[Array], boxes: Sequence[Box]) -> None:
+    """ValueError for a start that is not finite, where values can be seen."""
+    for leaf, box in zip(leaves, boxes, strict=True):
+        if not isinstance(leaf, Tracer) and not np.all(np.isfinite(leaf)):
+            raise ValueError(f"the start of {box.name or 'the model'} is not finite: {np.asarray(leaf)}")
+
+
+def check_bounds(leaves: list[Array], boxes: Sequence[Box]) -> None:
+    """ValueError for a start outside its box, where values can be seen; NaN is in none and passes."""
     for leaf, box in zip(leaves, boxes, strict=True):
         if isinstance(leaf, Tracer):
             continue
         value = np.asarray(leaf)
-        if not np.all(np.isfinite(value)):
-            raise ValueError(f"the start of {box.name or 'the model'} is not finite: {value}")
         # A bound that a float32 cannot hold is still met by the float32 nearest to it.
         low, high = (np.asarray(end, value.dtype) for end in (box.low, box.high))
-        if not np.all((value >= low) & (value <= high)):
+        if np.any((value < low) | (value > high)):
             raise ValueError(f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {value}")
 
 
-def _check_end(found: IterativeFit) -> IterativeFit:
+def check_end(found: IterativeFit) -> IterativeFit:
     """RuntimeError for a fit that did not converge; inside jit at run time."""
     failed = found.result != Outcome.converged
     if isinstance(failed, Tracer):

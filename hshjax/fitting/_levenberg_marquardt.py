@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt for residuals that outnumber the unknowns by far: the default solver of `fit`."""
+"""Levenberg-Marquardt for many more residuals than unknowns: the default solver of `fit`."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,82 +8,126 @@ import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import cho_factor, cho_solve
 
-from hshjax._typing import Array
-from hshjax.bases._base import matmul
-
-START = 1e-3
-"""Damping of the first step, relative to the diagonal of JᵀJ."""
+from hshjax._typing import Array, Bool, Float, Int
+from hshjax.fitting._optimistix import half_square
 
 
-class LevenbergMarquardt(optx.AbstractGaussNewton):
-    """(JᵀJ + λ diag JᵀJ) δ = -Jᵀr by a Cholesky factorisation, λ from 1e-3 on by the ratio of true to predicted gain.
+class _State(eqx.Module):
+    """What is known at the current y, and the trial point that it led to."""
 
-    Unlike `optimistix.LevenbergMarquardt` it is invariant to the scale of the residuals and of each parameter, forms
-    JᵀJ once for an accepted step however many dampings are tried, and factorises a matrix of unknowns x unknowns where
-    the other takes the QR of all residuals. JᵀJ squares the condition number; the step that it blurs is damped, and
-    the next gradient is exact again. In memory: the Jacobian, residuals x unknowns.
+    trial: Float[Array, " unknowns"]
+    loss: Float[Array, ""]
+    gram: Float[Array, "unknowns unknowns"]
+    gradient: Float[Array, " unknowns"]
+    predicted: Float[Array, ""]
+    damping: Float[Array, ""]
+    growth: Float[Array, ""]
+    count: Int[Array, ""]
+    done: Bool[Array, ""]
+    aux: Any
 
-    - `rtol`, `atol`: a fit has converged when a step changes neither the parameters nor the loss by more.
 
-    Source: Marquardt, An Algorithm for Least-Squares Estimation of Nonlinear Parameters, SIAM J. Appl. Math. 11(2),
-    1963; cutoffs of the gain ratio as in `optimistix.ClassicalTrustRegion`.
+class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
+    """Levenberg-Marquardt that keeps JᵀJ and Jᵀr of its residuals, and nothing of their number.
+
+    A step solves (JᵀJ + λ diag JᵀJ) δ = Jᵀr by Cholesky; λ follows the ratio of the reduction to the predicted one,
+    down by at most 10 a step. The scale of the residuals and of each parameter does not matter. With far more residuals
+    than unknowns it takes a fraction of the time of `optimistix.LevenbergMarquardt`, above all under vmap. JᵀJ has the
+    squared condition number of J; where it tells nothing more, damping keeps the steps small, and y ends where Jᵀr
+    vanishes in any case. A step holds the Jacobian, residuals x unknowns.
+
+    - `rtol`, `atol`: it has converged when a step is below atol + rtol |y| (largest element) and changes the loss by at
+      most atol + rtol loss.
+    - `damping`: the first λ.
+
+    Source: Madsen, Nielsen, Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed., IMM, DTU, 2004, section
+    3.2, with Marquardt's scaling by the diagonal, SIAM J. Appl. Math. 11, 1963.
     """
 
     rtol: float
     atol: float
-    norm: Callable[[Any], Array]
-    descent: optx.AbstractDescent
-    search: optx.AbstractSearch
-    verbose: Callable[..., None]
+    damping: float = 1e-3
+    norm: Callable[[Any], Array] = eqx.field(static=True, default=optx.max_norm)
 
-    def __init__(self, rtol: float, atol: float):
-        self.rtol, self.atol, self.norm = rtol, atol, optx.max_norm
-        self.descent = _DampedNormalEquations()
-        self.search = optx.ClassicalTrustRegion(high_constant=10.0, low_constant=0.1)
-        self.verbose = _silent
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        flat, _ = ravel_pytree(y)
+        number = jnp.zeros((), flat.dtype)
+        return _State(
+            trial=flat,
+            loss=number + jnp.inf,
+            gram=jnp.zeros((flat.size, flat.size), flat.dtype),
+            gradient=jnp.zeros_like(flat),
+            predicted=number + 1,
+            damping=number + self.damping,
+            growth=number + 2,
+            count=jnp.asarray(0),
+            done=jnp.asarray(False),
+            aux=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct),
+        )
 
-
-def _silent(**_: Any) -> None:
-    pass
-
-
-class _NormalEquations(eqx.Module):
-    gram: Array
-    gradient: Array
-
-
-class _DampedNormalEquations(optx.AbstractDescent):
-    """The step of damping λ = START / step size."""
-
-    def init(self, y, f_info_struct):
-        flat = ravel_pytree(y)[0]
-        return _NormalEquations(jnp.zeros((flat.size, flat.size), flat.dtype), flat), y
-
-    def query(self, y, f_info, state):
+    def step(self, fn, y, args, options, state, tags):
         flat, unravel = ravel_pytree(y)
-        residual = ravel_pytree(f_info.residual)[0]
-        # Row by row the transpose of J, as the products come: no copy of it in another layout.
-        transposed = jax.vmap(lambda unit: ravel_pytree(f_info.jac.mv(unravel(unit)))[0])(
-            jnp.eye(flat.size, dtype=flat.dtype)
-        )
-        return _NormalEquations(matmul(transposed, transposed.T), matmul(transposed, residual)), y
+        residual, pushforward, aux = jax.linearize(lambda x: fn(unravel(x), args), state.trial, has_aux=True)
+        loss = half_square(residual).astype(flat.dtype)
+        gram, gradient = _normal_equations(residual, jax.vmap(pushforward)(jnp.eye(flat.size, dtype=flat.dtype)))
 
-    def step(self, step_size, state):
-        equations, y = state
-        gram = equations.gram
-        diagonal = jnp.diagonal(gram)
-        largest = jnp.max(diagonal)
-        # What the residuals do not see (a parameter on its bound) stays where it is, at the price of rounding.
-        scale = jnp.where(diagonal > 0, diagonal, jnp.where(largest > 0, largest, 1))
-        unit = jnp.sqrt(scale)
-        # Below rounding no damping keeps a singular matrix factorisable.
-        rounding = gram.shape[0] * jnp.finfo(gram.dtype).eps
-        damping = jnp.maximum(START / step_size, rounding)
-        matrix = gram / (unit[:, None] * unit[None]) + damping.astype(gram.dtype) * jnp.eye(
-            gram.shape[0], dtype=gram.dtype
+        first = state.count == 0
+        better = first | (loss <= state.loss)
+        gain = jnp.where(first, 1, (state.loss - loss) / state.predicted)
+        small = self.norm(state.trial - flat) <= self.atol + self.rtol * self.norm(flat)
+        level = jnp.abs(state.loss - loss) <= self.atol + self.rtol * state.loss
+        # From a start without a finite loss no step leads anywhere.
+        done = jnp.where(first, ~jnp.isfinite(loss), small & level)
+
+        def newer(new, old):
+            return jax.tree.map(lambda new, old: jnp.where(better, new, old), new, old)
+
+        point = newer(state.trial, flat)
+        gram, gradient = newer(gram.astype(flat.dtype), state.gram), newer(gradient.astype(flat.dtype), state.gradient)
+        shrink = jnp.clip(1 - (2 * gain - 1) ** 3, 0.1, 1)
+        damping = jnp.where(first, state.damping, state.damping * jnp.where(better, shrink, state.growth))
+        damping = jnp.maximum(damping, jnp.finfo(flat.dtype).eps)  # from 0 no growth would lead back
+        move, predicted = _damped_step(gram, gradient, damping)
+        after = _State(
+            trial=point - move,
+            loss=newer(loss, state.loss),
+            gram=gram,
+            gradient=gradient,
+            predicted=predicted,
+            damping=damping,
+            growth=jnp.where(better, 2, 2 * state.growth),
+            count=state.count + 1,
+            done=done,
+            aux=newer(aux, state.aux),
         )
-        solved = jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), equations.gradient / unit)
-        delta = ravel_pytree(y)[1](-solved / unit)
-        finite = jnp.all(jnp.isfinite(solved))
-        return delta, optx.RESULTS.where(finite, optx.RESULTS.successful, optx.RESULTS.nonfinite)
+        started_from = jax.tree.map(lambda new, old: jnp.where(first, new, old), aux, state.aux)
+        return unravel(point), after, started_from
+
+    def terminate(self, fn, y, args, options, state, tags):
+        finite = (state.count == 0) | jnp.isfinite(state.loss)
+        return state.done, optx.RESULTS.where(finite, optx.RESULTS.successful, optx.RESULTS.nonfinite)
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, state.aux, {}
+
+
+def _normal_equations(residual: Any, rows: Any) -> tuple[Array, Array]:
+    """JᵀJ and Jᵀr of pytrees: residuals `(...)`, derivatives `(unknowns, ...)`."""
+    grams, gradients = [], []
+    for r, j in zip(jax.tree.leaves(residual), jax.tree.leaves(rows), strict=True):
+        j = j.reshape(j.shape[0], -1)
+        grams.append(jnp.matmul(j, j.T, precision="highest"))
+        gradients.append(jnp.matmul(j, r.reshape(-1), precision="highest"))
+    return jnp.stack(grams).sum(axis=0), jnp.stack(gradients).sum(axis=0)
+
+
+def _damped_step(gram: Array, gradient: Array, damping: Array) -> tuple[Array, Array]:
+    """δ, and the reduction of ½|r|² that the linearisation promises for -δ."""
+    diagonal = jnp.diagonal(gram)
+    # An unknown without effect has a row of zeros: a little of the largest one on its diagonal keeps it where it is.
+    floor = jnp.finfo(gram.dtype).eps * jnp.max(diagonal) + jnp.finfo(gram.dtype).tiny
+    scale = damping * jnp.maximum(diagonal, floor)
+    move = cho_solve(cho_factor(gram + jnp.diag(scale)), gradient)
+    return move, jnp.sum(move * (scale * move + gradient)) / 2

@@ -183,13 +183,14 @@ def _(basis, norm, primals, tangents):
     derivative of QR is wrong there without a sign of it. Condition, R and its root count as constants; the solve knows
     its matrix as a function of the samples, for the sake of second derivatives.
     """
-    coefficients, condition, factor, root = _least_squares(basis, norm, *primals)
+    here, penalty_here = primals
+    coefficients, condition, factor, root = _least_squares(basis, norm, here, penalty_here)
 
     def residual(samples, gamma):
         return _normal_residual(basis, norm, samples, gamma, coefficients)
 
     def product(v):  # (BᵀWB + Γ) v: the residual is affine in c
-        return -jax.jvp(lambda c: _normal_residual(basis, norm, *primals, c), (coefficients,), (v,))[1]
+        return -jax.jvp(lambda c: _normal_residual(basis, norm, here, penalty_here, c), (coefficients,), (v,))[1]
 
     def solve(_, right):
         return solve_triangular(root, solve_triangular(root, right, trans=1))

@@ -71,3 +71,24 @@ class IterativeFit(eqx.Module, Generic[Model]):
         """How the fit ended, and what to do; names the parameters that ended on a bound. Not under jit."""
         bound = [name for name, where in self.on_bound.items() if np.any(where)]
         return str(Outcome[self.result]) + (f"; on a bound: {', '.join(bound)}" if bound else "")
+
+
+class MultiStart(eqx.Module, Generic[Model]):
+    """The best of many fits, by `multi_start`, and how every start went.
+
+    - `best`: the fit from where the best start was after screening; its `start_losses` and `curve` begin there.
+    - `chosen`: which start that was.
+    - `losses`, `results`, `steps`: `(starts,)`, of the chosen one at its end, of every other one after screening.
+    - `start_losses`: `(starts,)`, the whole loss of every start as it was given.
+    """
+
+    best: IterativeFit[Model]
+    chosen: Int[Array, ""]
+    losses: Float[Array, " starts"]
+    results: Outcome
+    steps: Int[Array, " starts"]
+    start_losses: Float[Array, " starts"]
+
+    def agreeing(self, relative: float = 1e-3) -> Int[Array, ""]:
+        """How many starts, the chosen one included, have a loss within `relative` of the best one's."""
+        return jnp.sum(self.losses <= (1 + relative) * self.best.loss)

@@ -280,6 +280,15 @@ def test_a_loss_that_is_not_finite_at_the_start():
         fit(Lambert(0.5), {"data": SampleMisfit(CLEAN), "bad": Nan()})
 
 
+def test_a_parameter_that_is_not_finite_is_told_where_the_loss_is_finite():
+    """Cook-Torrance has no highlight at a slope of NaN, but a value; only under jit can such a start come this far."""
+    found = jax.jit(lambda slope: fit(CookTorrance(0.5, 0.5, slope), {"data": SampleMisfit(CLEAN)}, throw=False))(
+        jnp.asarray(jnp.nan, DTYPE)
+    )
+    assert found.result == Outcome.nonfinite_start
+    assert jnp.isfinite(found.start_losses["data"])
+
+
 def test_too_few_steps():
     start = CookTorrance(0.5, 0.5, 0.9)
     found = fit(start, {"data": SampleMisfit(CLEAN)}, max_steps=2, throw=False)
