@@ -1,12 +1,15 @@
 """The `hshjax` command: look at a measured material, fit it, keep the model."""
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 try:
     import typer
     from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
     from rich.table import Table
     from rich.text import Text
 except ModuleNotFoundError as missing:
@@ -15,7 +18,7 @@ except ModuleNotFoundError as missing:
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
-    help="Compact, reciprocal reflectance: fit measured materials in closed form.",
+    help="Compact, reciprocal reflectance: fit measured materials.",
     epilog="Examples:  hshjax info leather.bsdf  ·  hshjax fit leather.bsdf --order 8 --out leather.hshjax",
 )
 # No markup: paths and what files say of themselves may hold brackets.
@@ -39,21 +42,34 @@ def info(file: File) -> None:
 @app.command()
 def fit(
     file: File,
+    model: Annotated[
+        Literal["linear", "exp", "cook-torrance", "ggx"],
+        typer.Option(
+            help="linear: a series in the basis, in closed form. exp: the exponential of one, which is positive. "
+            "cook-torrance, ggx: that lobe and a diffuse part, from many starts."
+        ),
+    ] = "linear",
     basis: Annotated[Literal["hsh", "zernike", "shr"], typer.Option(help="Family of the basis.")] = "hsh",
     order: Annotated[int, typer.Option(min=0, help="Order of the basis.")] = 8,
     norm: Annotated[
         Literal["A", "B", "C", "D", "E"],
         typer.Option(
-            help="Norm of the fit. D: cosine-weighted in both directions; E: up to 80 degrees. See docs/norms.md."
+            help="Norm of the linear fit (the others: D). D: cosine-weighted in both directions; E: up to 80 degrees. "
+            "See docs/norms.md."
         ),
     ] = "D",
     ridge: Annotated[
         float, typer.Option(min=0.0, help="Weight of the spectral prior, which damps fine detail; 0 for none.")
     ] = 1e-5,
+    valid: Annotated[
+        bool,
+        typer.Option("--valid", help="Linear: never negative, albedo at most 1, with a certificate of it."),
+    ] = False,
     degree: Annotated[
         int | None,
         typer.Option(min=2, help="Degree of the rule that samples the material [default: 64, or 4 x order]."),
     ] = None,
+    max_steps: Annotated[int, typer.Option(min=1, help="Limit of steps of an iterative fit.")] = 100,
     out: Annotated[
         Path | None,
         typer.Option(help="Where to save the model, over what is there [default: FILE with suffix .hshjax]."),
@@ -62,17 +78,20 @@ def fit(
         Path | None, typer.Option(help="PNG of a sphere: the measurement on the left, the fit right.")
     ] = None,
 ) -> None:
-    """Fit a measured material by an isotropic reciprocal basis and save the model.
+    """Fit a measured material and save the model.
 
-    The fit is a linear least-squares problem: there is nothing to tune but the basis, its order and the norm.
+    By default by an isotropic reciprocal basis: a linear least-squares problem, with nothing to tune but the basis, its
+    order and the norm. Other models are fitted step by step, with a display of the loss.
     """
     from hshjax import bases
-    from hshjax.fitting import project, relative_error
+    from hshjax.fitting import relative_error
     from hshjax.io import save_model
     from hshjax.quadrature import isotropic_pair_rule
     from hshjax.samples import Samples
 
     brdf, _ = _read(file)
+    if valid and model != "linear":
+        raise _exit(f"--valid is for the linear model; {model} is positive by construction")
     if out is None:
         out = file.with_suffix(".hshjax")
         if out.exists():
@@ -81,39 +100,133 @@ def fit(
         if target is not None and not target.absolute().parent.is_dir():
             raise _exit(f"{target}: there is no folder {target.absolute().parent}")
     pairs = bases.IsotropicBasis(getattr(bases, FAMILIES[basis])(order))
+    rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
     try:
-        with complaints.status("sampling and fitting"):
-            rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
+        with complaints.status("sampling"):
             samples = Samples.from_function(brdf, rule)
-            result = project(pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else None)
-        save_model(out, result.model)
+        if model == "linear":
+            fitted, facts = _linear(pairs, samples, norm, ridge, valid)
+        elif model == "exp":
+            fitted, facts = _exponential(pairs, samples, max_steps)
+        else:
+            fitted, facts = _parametric(model, samples, max_steps)
+        save_model(out, fitted)
     except (OSError, ValueError) as error:
         raise _exit(str(error)) from error
 
-    table = Table(title=f"{pairs.basis}, isotropic", title_justify="left", show_header=False)
-    table.add_row("coefficients", f"{result.unknowns} x {samples.channels} channels")
-    table.add_row("samples", f"{result.samples} on a rule of degree {rule.degree}")
-    table.add_row(f"relative error, norm {norm}", _numbers(result.relative))
-    table.add_row("relative error, norm E", _numbers(relative_error(result.model, samples, "E")))
-    table.add_row("condition number", f"{float(result.condition):.3g} ({result.method})")
-    for name, error in (("measured", result.reciprocity_before), ("fitted", result.reciprocity_after)):
-        if error is not None:
-            table.add_row(f"violation of reciprocity, {name}", f"{float(error.relative):.3g} ({error.pairs} pairs)")
-    for name, value in _figures(result.model).items():
+    table = Table(title=f"{file.name}: {model}", title_justify="left", show_header=False)
+    facts |= {
+        "samples": f"{samples.size} on a rule of degree {rule.degree}",
+        f"relative error, norm {norm}": _numbers(relative_error(fitted, samples, norm)),
+        "relative error, norm E": _numbers(relative_error(fitted, samples, "E")),
+    }
+    for name, value in (facts | _figures(fitted)).items():
         table.add_row(name, value)
     console.print(table)
     console.print(f"model: {out}")
     if picture is not None:
         try:
-            _save_spheres(picture, brdf, result.model)
+            _save_spheres(picture, brdf, fitted)
         except (OSError, ValueError) as error:
             raise _exit(f"{picture}: {error}") from error
         console.print(f"picture: {picture}")
 
 
+def _linear(pairs, samples, norm: str, ridge: float, valid: bool) -> tuple[Any, dict[str, str]]:
+    from hshjax.fitting import project
+
+    with complaints.status("fitting"):
+        result = project(
+            pairs, samples, norm=norm, ridge=ridge, prior="spectral" if ridge else None,
+            constraints=("non_negative", "energy") if valid else (),
+        )  # fmt: skip
+    facts = {
+        "basis": f"{pairs.basis}, isotropic",
+        "coefficients": f"{result.unknowns} x {samples.channels} channels",
+        "condition number": f"{float(result.condition):.3g} ({result.method})",
+    }
+    if result.certificate is not None:
+        smallest, largest = float(result.certificate.smallest.min()), float(result.certificate.albedo.max())
+        verdict = "holds" if result.certificate.holds else "DOES NOT HOLD"
+        facts["certificate"] = f"{verdict}: smallest value {smallest:.2g} sr^-1, largest albedo {largest:.7f}"
+    for name, error in (("measured", result.reciprocity_before), ("fitted", result.reciprocity_after)):
+        if error is not None:
+            facts[f"violation of reciprocity, {name}"] = f"{float(error.relative):.3g} ({error.pairs} pairs)"
+    return result.model, facts
+
+
+def _exponential(pairs, samples, max_steps: int) -> tuple[Any, dict[str, str]]:
+    import equinox as eqx
+    import jax.numpy as jnp
+
+    from hshjax.brdfs import ExpBRDF
+    from hshjax.fitting import CosineWeighted, SampleMisfit, fit as fit_model, positive_start
+
+    found = []
+    with _display(max_steps) as channel:
+        for k in range(samples.channels):  # channels do not touch: each is a fit of its own
+            one = eqx.tree_at(lambda s: s.value, samples, samples.value[:, k : k + 1])
+            start = positive_start(ExpBRDF, pairs, one)
+            objective = {"data": SampleMisfit(one, CosineWeighted())}
+            on_step = channel(f"channel {k + 1} of {samples.channels}")
+            found.append(fit_model(start, objective, max_steps=max_steps, throw=False, on_step=on_step))
+    model = ExpBRDF(pairs, jnp.concatenate([one.model.coefficients for one in found], axis=1))
+    facts = {"basis": f"{pairs.basis}, isotropic", "coefficients": f"{pairs.count} x {samples.channels} channels"}
+    return model, facts | _endings(found)
+
+
+def _parametric(name: str, samples, max_steps: int) -> tuple[Any, dict[str, str]]:
+    import jax.numpy as jnp
+
+    from hshjax.brdfs import GGX, CookTorrance, Lambert
+    from hshjax.fitting import CosineWeighted, SampleMisfit, fit as fit_model, initial_guesses, multi_start
+
+    colour = jnp.zeros(samples.channels)
+    template = CookTorrance(colour, colour, jnp.asarray(0.3)) if name == "cook-torrance" else Lambert(colour) + GGX(colour, jnp.asarray(0.3))
+    objective = {"data": SampleMisfit(samples, CosineWeighted())}
+    with complaints.status("looking for a start"):
+        ahead = multi_start(initial_guesses(template, samples), objective, max_steps=1, throw=False).best.model
+    with _display(max_steps) as line:
+        found = fit_model(ahead, objective, max_steps=max_steps, throw=False, on_step=line(name))
+    parameters = {key: _numbers(value.ravel()) for key, value in _parameters(found.model).items()}
+    return found.model, parameters | _endings([found])
+
+
+def _parameters(model) -> dict[str, Any]:
+    """The arrays of a model by their names."""
+    import jax
+
+    leaves = jax.tree_util.tree_leaves_with_path(model)
+    return {jax.tree_util.keystr(path).lstrip("."): leaf for path, leaf in leaves}
+
+
+def _endings(found: list) -> dict[str, str]:
+    """How iterative fits ended, in words, the same ones once."""
+    return {
+        "fit": "; ".join(dict.fromkeys(one.message for one in found)),
+        "steps": " ".join(str(int(one.steps)) for one in found),
+    }
+
+
+@contextmanager
+def _display(max_steps: int) -> Iterator[Callable[[str], Callable[[Any, Any], None]]]:
+    """A live line a fit: its steps, its loss, the time that is left at most. Called with a name it gives `on_step`."""
+    columns = (
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TextColumn("loss {task.fields[loss]}", markup=False), TextColumn("at most"), TimeRemainingColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=complaints, transient=True) as bars:
+
+        def line(name: str) -> Callable[[Any, Any], None]:
+            task = bars.add_task(name, total=max_steps, loss="-")
+            return lambda step, loss: bars.update(task, completed=int(step) + 1, loss=f"{float(loss):.4g}")
+
+        yield line
+
+
 def _read(file: Path) -> tuple:
     """The BRDF of a measured file or a saved model, and what to say of it; exits with a message where it cannot."""
-    from hshjax.brdfs import AbstractBRDF, LinearBRDF, RGLTable
+    from hshjax.brdfs import AbstractBRDF, AbstractPositiveBRDF, LinearBRDF, RGLTable
     from hshjax.io import load_model, read_rgl
 
     try:
@@ -129,12 +242,10 @@ def _read(file: Path) -> tuple:
     facts = {"kind": type(brdf).__name__}
     if isinstance(brdf, RGLTable):
         facts |= {"material": brdf.description, "channels": ", ".join(brdf.channel_names)}
+    if isinstance(brdf, LinearBRDF | AbstractPositiveBRDF):
+        facts |= {"basis": str(brdf.basis), "coefficients": " x ".join(map(str, brdf.coefficients.shape))}
     if isinstance(brdf, LinearBRDF):
-        facts |= {
-            "basis": str(brdf.basis),
-            "coefficients": f"{brdf.basis.count} x {brdf.channels} channels",
-            "the series stands for": brdf.target,
-        }
+        facts["the series stands for"] = brdf.target
     return brdf, facts
 
 
