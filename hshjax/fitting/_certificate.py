@@ -9,7 +9,7 @@ import numpy as np
 
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
-from hshjax.brdfs._linear import EXPONENTS, Target
+from hshjax.brdfs._linear import EXPONENTS, Target, cosine_power
 from hshjax.fitting._constraints import NEAREST, Energy, Family, NonNegative, vanishes
 from hshjax.fitting._search import follow, in_chunks
 
@@ -31,6 +31,9 @@ class Certificate(eqx.Module):
     - `pairs`, `directions`: at how many pairs, and how many outgoing directions, they were looked for.
     - `max_theta`: the largest polar angle among them [radians]; below 90 degrees where ρ is a quotient of a series and
       its cosines, whose rounding grows towards the horizon.
+    - `lift`: constant that was added to the optimum, per channel, to make up for what the last round of exchange left
+      over (to ρ; to the series, if that stands for z_i z_o ρ or its root and "energy" is not asked for). 0 where the
+      optimum itself is certified.
     - `rounds`: rounds of exchange that the fit took. `active`: per channel, how many inequalities shape it.
 
     For isotropic bases the pairs fill their three dimensions: nodes closer than the search's, with grazing angles, the
@@ -40,6 +43,7 @@ class Certificate(eqx.Module):
 
     smallest: Float[Array, " channels"]
     albedo: Float[Array, " channels"]
+    lift: Float[Array, " channels"]
     holds: bool = eqx.field(static=True)
     pairs: int = eqx.field(static=True)
     directions: int = eqx.field(static=True)
@@ -56,48 +60,55 @@ def certify(
     dtype: np.dtype,
     rounds: int,
     active: tuple[int, ...],
-) -> Certificate:
-    """Look at a fit of float64 `coefficients` `(modes, channels)`; `dtype` is that in which they are kept."""
+    lift: np.ndarray,
+) -> tuple[Certificate, dict[str, np.ndarray]]:
+    """The certificate of float64 `coefficients` `(modes, channels)`, which are kept in `dtype`.
+
+    Also by how much the inequalities of each constraint hold at least, per channel, in the scale of their rows.
+    """
     exponent = EXPONENTS[target]
     edge = 2 * np.arccos(np.sqrt(NEAREST[dtype])) if exponent else np.pi
     depth = int(vanishes(exponent, constraints))
     # Not `families`: both figures are reported whatever was asked for, and looked for just as close to the horizon.
     values, energy = NonNegative(basis, (depth * basis.reciprocal, depth), edge), Energy(basis, exponent, exponent, edge)
-    pairs = _pairs(values)
-    smallest = _lowest(values, coefficients, pairs, exponent)
-    directions = _directions(energy)
-    albedo = -_lowest(energy, coefficients, directions, 0)
-    kept = {"non_negative": np.all(smallest >= -TOLERANCE), "energy": np.all(albedo <= 1 + TOLERANCE)}
+    pairs, directions = _pairs(values), _directions(energy)
+    smallest, lowest = _lowest(values, coefficients, pairs, exponent)
+    albedo, excess = (-a for a in _lowest(energy, coefficients, directions, 0))
+    kept = {"non_negative": smallest >= -TOLERANCE, "energy": albedo <= 1 + TOLERANCE}
+    holds = bool(np.all([kept[name] for name in constraints]))
     theta = float(np.arccos(np.cos(edge / 2) ** 2))
-    holds = all(bool(kept[name]) for name in constraints)
-    figures = (jnp.asarray(figure, dtype) for figure in (smallest, albedo))
-    return Certificate(*figures, holds, len(pairs), len(directions), theta, rounds, active)
+    figures = (jnp.asarray(figure, dtype) for figure in (smallest, albedo, lift))
+    found = Certificate(*figures, holds, len(pairs), len(directions), theta, rounds, active)
+    return found, {"non_negative": lowest, "energy": 1 - excess}
 
 
 @partial(jax.jit, static_argnums=(0, 3))
-def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Array:
-    """What the rows add up to; for pairs, ρ."""
+def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Float[Array, "n 2 channels"]:
+    """ρ at pairs, or minus the albedo of directions; and what the rows add up to."""
     sums = family.sums(coefficients, x)
     if isinstance(family, Energy):
-        return sums
-    wi, wo = family.pairs(x)
-    foreshortening = (wi[:, 2] * wo[:, 2]) ** exponent if exponent else jnp.ones_like(wi[:, 2])
-    return sums * (family.scale(x) / foreshortening)[:, None]
+        return jnp.stack([sums, sums], axis=1)
+    factor = family.scale(x) / cosine_power(*family.pairs(x), exponent)
+    return jnp.stack([sums * factor[:, None], sums], axis=1)
 
 
-def _lowest(family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: float) -> np.ndarray:
-    """Smallest sum per channel, at the points and at the minima next to the lowest of them."""
+def _lowest(
+    family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest ρ (or -albedo) and smallest row · c per channel, at the points and at minima next to the lowest."""
 
-    def sums(points):
+    def look(points):
         return in_chunks(lambda p: _sums(family, jnp.asarray(coefficients), p, exponent), points)
 
-    at_points = sums(x)
-    lowest = np.min(at_points, axis=0)
+    figure, lowest = [], []
+    at_points = look(x)
     for c in range(coefficients.shape[1]):
-        start = x[np.argsort(at_points[:, c])[:DESCENTS]]
+        start = x[np.unique(np.argsort(at_points[:, :, c], axis=0)[:DESCENTS])]
         between = follow(family, coefficients[:, c], 0.0, start, np.full(x.shape[1], 0.02), steps=4).x
-        lowest[c] = min(lowest[c], np.min(sums(between)[:, c]))
-    return lowest
+        seen = np.concatenate([at_points[:, :, c], look(between)[:, :, c]])
+        figure.append(np.min(seen[:, 0]))
+        lowest.append(np.min(seen[:, 1]))
+    return np.array(figure), np.array(lowest)
 
 
 def _polar(count: int, edge: float) -> np.ndarray:

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
-from hshjax.bases import AbstractPairBasis, IsotropicBasis
+from hshjax.bases import AbstractPairBasis, IsotropicBasis, from_matrix
 from hshjax.bases._base import matmul
 from hshjax.quadrature import hemisphere_rule
 
@@ -202,6 +202,24 @@ def horizon_equations(basis: AbstractPairBasis) -> np.ndarray:
     for equation, u in zip(equations, slow, strict=True):
         np.add.at(equation, (a, mode), value * u[b])
     return equations.reshape(-1, basis.count)
+
+
+@lru_cache
+def interior(basis: AbstractPairBasis, exponent: float, constraints: tuple[str, ...]) -> np.ndarray:
+    """Coefficients `(modes,)` of a function that lies inside all inequalities: rows of `NonNegative` add up to 1.
+
+    Under "energy" alone that is 0. Host array.
+    """
+    if "non_negative" not in constraints:
+        return np.zeros(basis.count)
+    single = basis.basis
+    depth = int(vanishes(exponent, constraints))
+    z = np.linspace(0, 1, 8 * single.order + 8)
+    meridian = np.stack([np.sqrt(1 - z**2), 0 * z, z], axis=1)
+    with jax.enable_x64(True):
+        zonal = np.asarray(single(jnp.asarray(meridian))) * [m == 0 for _, m in single.modes]
+        incident, outgoing = (np.linalg.lstsq(zonal, z**d)[0] for d in (depth * basis.reciprocal, depth))
+        return np.asarray(from_matrix(basis, jnp.asarray(np.outer(incident, outgoing))))
 
 
 @lru_cache

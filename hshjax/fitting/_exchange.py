@@ -17,10 +17,7 @@ from hshjax.fitting._least_distance import least_distance
 from hshjax.fitting._search import SearchGrid, in_chunks
 
 MARGIN = 5e-7
-"""What every inequality is asked for beyond its floor (sr^-1 or albedo); half of what the certificate allows it to miss."""
-
-PATIENCE = 8
-"""Rounds with the smallest margin. From then on it grows, by powers of ten, to the size of what is still violated."""
+"""What every inequality is asked for beyond its floor (sr^-1 or albedo); half of what the certificate lets it miss."""
 
 COARSE = 4
 """Rounds in which the minima are moving still, so that it does not pay to find them to all digits."""
@@ -39,7 +36,6 @@ class Channel:
 
     points: list[np.ndarray]
     active: list[Active] = field(default_factory=list)
-    margin: float = MARGIN
     settled: bool = False
 
 
@@ -83,17 +79,8 @@ class Exchange:
             if worst >= 0:
                 channel.settled = True
                 continue
-            if self.rounds > PATIENCE:
-                channel.margin = max(channel.margin, 10.0 ** np.ceil(np.log10(-worst)))
             for k, (x, _) in enumerate(mine):
                 channel.points[k] = _distinct(np.concatenate([channel.points[k], x]), self.grids[k].spacing)
-            self._solve(c)
-
-    def widen(self) -> None:
-        """Ask for ten times the margin: something was found that the search had not seen."""
-        for c, channel in enumerate(self.channels):
-            channel.margin *= 10
-            channel.settled = False
             self._solve(c)
 
     def _solve(self, c: int) -> None:
@@ -102,7 +89,7 @@ class Exchange:
         for grid, x in zip(self.grids, channel.points, strict=True):
             rows.append(in_chunks(lambda p, family=grid.family: family_rows(family, p), x))
             levels = in_chunks(lambda p, family=grid.family: jnp.stack(family_levels(family, p), axis=1), x)
-            floors.append(levels @ [1, self.rounding[c]] + channel.margin)
+            floors.append(levels @ [1, self.rounding[c]] + MARGIN)
         matrix, floor = np.concatenate(rows), np.concatenate(floors)
         reduced = matrix if self.free is None else matrix @ self.free
         point, multiplier = least_distance(self.root, self.start[:, c], reduced, floor)

@@ -162,7 +162,7 @@ def follow(
         # The stencil keeps to the box: beyond the horizon there is nothing to see.
         centre = np.where(family.periodic, x, np.clip(x, lower + spacing, upper - spacing))
         points = _into(family, (centre[:, None] + shifts * spacing).reshape(-1, d))
-        values = gaps(points).reshape(len(x), -1)
+        values = gaps(points).reshape(len(x), len(shifts))
         step, _ = _descend(values, d)
         target = _into(family, centre + step * spacing)
         k = np.argmin(values, axis=1)

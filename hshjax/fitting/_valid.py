@@ -24,10 +24,16 @@ from hshjax.bases import AbstractPairBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import EXPONENTS, Target
 from hshjax.fitting._certificate import Certificate, certify
-from hshjax.fitting._constraints import Family, families, horizon_equations, vanishes
+from hshjax.fitting._constraints import Family, families, horizon_equations, interior, vanishes
 from hshjax.fitting._exchange import Active, Exchange
 from hshjax.fitting._least_distance import InfeasibleError
 from hshjax.fitting._search import follow
+
+LARGEST_LIFT = 0.01
+"""The largest constant BRDF [sr^-1] that may be added to an optimum, to make up for what its last round left over."""
+
+SAFETY = 1.5
+"""How much more than what was found is made up for: there is something between any directions."""
 
 
 @dataclass(frozen=True)
@@ -101,15 +107,27 @@ def constrained(
 
 
 def _until_certified(problem: Problem, exchange: Exchange, dtype: np.dtype) -> Certificate:
-    while True:
-        while not exchange.settled and exchange.rounds < problem.rounds:
-            exchange.round()
+    while not exchange.settled and exchange.rounds < problem.rounds:
+        exchange.round()
+    active = tuple(sum(a.multiplier.size for a in channel.active) for channel in exchange.channels)
+
+    def look(lift):
         kept = exchange.coefficients.astype(dtype).astype(np.float64)
-        active = tuple(sum(a.multiplier.size for a in channel.active) for channel in exchange.channels)
-        certificate = certify(problem.basis, kept, problem.target, problem.constraints, dtype, exchange.rounds, active)
-        if certificate.holds or exchange.rounds >= problem.rounds:
-            return certificate
-        exchange.widen()
+        return certify(problem.basis, kept, problem.target, problem.constraints, dtype, exchange.rounds, active, lift)
+
+    certificate, gaps = look(np.zeros(len(exchange.channels)))
+    if certificate.holds:
+        return certificate
+    # Something was left over, or not seen: a constant on top, and a factor for what it adds to the albedo.
+    lift = SAFETY * np.maximum(-gaps.get("non_negative", np.zeros(len(active))), 0)
+    if np.any(lift > LARGEST_LIFT):
+        return certificate
+    inside = interior(problem.basis, EXPONENTS[problem.target], problem.constraints)
+    exchange.coefficients = exchange.coefficients + lift * inside[:, None]
+    if "energy" in problem.constraints:
+        over = np.maximum(-gaps["energy"], 0)
+        exchange.coefficients = exchange.coefficients / (1 + SAFETY * over + np.pi * lift * (over > 0))
+    return look(lift)[0]
 
 
 def _shape(exchange: Exchange, c: int, dtype: np.dtype) -> Shape:
