@@ -1,6 +1,7 @@
 """What can be said of a fit that is to be physically valid: on directions that the fit has not seen."""
 
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -61,10 +62,10 @@ def certify(
     rounds: int,
     active: tuple[int, ...],
     lift: np.ndarray,
-) -> tuple[Certificate, dict[str, np.ndarray]]:
+) -> tuple[Certificate, dict[str, "Lowest"]]:
     """The certificate of float64 `coefficients` `(modes, channels)`, which are kept in `dtype`.
 
-    Also by how much the inequalities of each constraint hold at least, per channel, in the scale of their rows.
+    Also what is lowest for each constraint.
     """
     exponent = EXPONENTS[target]
     edge = 2 * np.arccos(np.sqrt(NEAREST[dtype])) if exponent else np.pi
@@ -72,14 +73,21 @@ def certify(
     # Not `families`: both figures are reported whatever was asked for, and looked for just as close to the horizon.
     values, energy = NonNegative(basis, (depth * basis.reciprocal, depth), edge), Energy(basis, exponent, exponent, edge)
     pairs, directions = _pairs(values), _directions(energy)
-    smallest, lowest = _lowest(values, coefficients, pairs, exponent)
-    albedo, excess = (-a for a in _lowest(energy, coefficients, directions, 0))
-    kept = {"non_negative": smallest >= -TOLERANCE, "energy": albedo <= 1 + TOLERANCE}
+    dark, bright = _lowest(values, coefficients, pairs, exponent), _lowest(energy, coefficients, directions, 0.0)
+    kept = {"non_negative": dark.figure >= -TOLERANCE, "energy": -bright.figure <= 1 + TOLERANCE}
     holds = bool(np.all([kept[name] for name in constraints]))
     theta = float(np.arccos(np.cos(edge / 2) ** 2))
-    figures = (jnp.asarray(figure, dtype) for figure in (smallest, albedo, lift))
-    found = Certificate(*figures, holds, len(pairs), len(directions), theta, rounds, active)
-    return found, {"non_negative": lowest, "energy": 1 - excess}
+    figures = (jnp.asarray(figure, dtype) for figure in (dark.figure, -bright.figure, lift))
+    certificate = Certificate(*figures, holds, len(pairs), len(directions), theta, rounds, active)
+    return certificate, {"non_negative": dark, "energy": bright._replace(lowest=1 + bright.lowest)}
+
+
+class Lowest(NamedTuple):
+    """Per channel: the smallest ρ (or -albedo), the smallest gap in the scale of the rows, and the lowest points."""
+
+    figure: np.ndarray
+    lowest: np.ndarray
+    points: list[np.ndarray]
 
 
 @partial(jax.jit, static_argnums=(0, 3))
@@ -92,15 +100,13 @@ def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Flo
     return jnp.stack([sums * factor[:, None], sums], axis=1)
 
 
-def _lowest(
-    family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest ρ (or -albedo) and smallest row · c per channel, at the points and at minima next to the lowest."""
+def _lowest(family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: float) -> Lowest:
+    """At the points, and at the minima next to the lowest of them."""
 
     def look(points):
         return in_chunks(lambda p: _sums(family, jnp.asarray(coefficients), p, exponent), points)
 
-    figure, lowest = [], []
+    figure, lowest, points = [], [], []
     at_points = look(x)
     for c in range(coefficients.shape[1]):
         start = x[np.unique(np.argsort(at_points[:, :, c], axis=0)[:DESCENTS])]
@@ -108,7 +114,8 @@ def _lowest(
         seen = np.concatenate([at_points[:, :, c], look(between)[:, :, c]])
         figure.append(np.min(seen[:, 0]))
         lowest.append(np.min(seen[:, 1]))
-    return np.array(figure), np.array(lowest)
+        points.append(between)
+    return Lowest(np.array(figure), np.array(lowest), points)
 
 
 def _polar(count: int, edge: float) -> np.ndarray:

@@ -291,5 +291,5 @@ def _bilateral(basis: AbstractPairBasis) -> bool:
 
 
 def _degrees(basis: AbstractPairBasis) -> tuple[int, int]:
-    """In α and in φ."""
-    return max(1, basis.basis.radial_counts()[0] - 1), max(1, basis.basis.order)
+    """In α and in φ. Zernike functions are of half their order in α, but a grid that takes it so misses minima."""
+    return max(1, basis.basis.order), max(1, basis.basis.order)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax.fitting._certificate import Lowest
 from hshjax.fitting._constraints import Family, family_levels, family_rows
 from hshjax.fitting._least_distance import least_distance
 from hshjax.fitting._search import SearchGrid, in_chunks
@@ -70,7 +71,7 @@ class Exchange:
         """Search, add, solve, drop: for every channel that is not settled."""
         self.rounds += 1
         steps = 2 if self.rounds <= COARSE else 4
-        todo = np.array([c for c, channel in enumerate(self.channels) if not channel.settled])
+        todo = [c for c, channel in enumerate(self.channels) if not channel.settled]
         found = [grid.minima(self.coefficients, todo, self.rounding, steps) for grid in self.grids]
         for c in todo:
             channel = self.channels[c]
@@ -82,6 +83,15 @@ class Exchange:
             for k, (x, _) in enumerate(mine):
                 channel.points[k] = _distinct(np.concatenate([channel.points[k], x]), self.grids[k].spacing)
             self._solve(c)
+
+    def add(self, found: list[Lowest]) -> None:
+        """Take points that the search has not seen, one entry per family, and solve where they lie below 0."""
+        for c, channel in enumerate(self.channels):
+            if min(lowest.lowest[c] for lowest in found) < 0:
+                for k, lowest in enumerate(found):
+                    channel.points[k] = np.concatenate([channel.points[k], lowest.points[c]])
+                channel.settled = False
+                self._solve(c)
 
     def _solve(self, c: int) -> None:
         channel = self.channels[c]

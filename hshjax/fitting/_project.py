@@ -53,7 +53,7 @@ def project(
     covariance: bool = False,
     reciprocity: bool | None = None,
     constraints: tuple[str, ...] = (),
-    rounds: int = 12,
+    rounds: int = 16,
 ) -> Fit[LinearBRDF]:
     """The BRDF in the span of `basis` nearest to `samples`, in closed form.
 

@@ -21,8 +21,8 @@ LARGEST = 300_000
 FOLLOWED = 300
 """Nodes a channel that are followed beside the local minima of the predictions."""
 
-CHUNKS = (256, 4096)
-"""Points a call: few shapes, so that little is compiled; small, so that rows keep to some 10 MB."""
+CHUNK = 2048
+"""Points a call: one shape, so that little is compiled; small, so that rows keep to some MB."""
 
 
 class Minima(NamedTuple):
@@ -56,21 +56,22 @@ class SearchGrid:
         self.sensitivity = in_chunks(lambda x: family_levels(family, x)[1], self.nodes)
 
     def minima(
-        self, coefficients: np.ndarray, channels: np.ndarray, rounding: np.ndarray, steps: int
+        self, coefficients: np.ndarray, channels: list[int], rounding: np.ndarray, steps: int
     ) -> dict[int, Minima]:
         """The lowest points for each of `channels`: all that lie below 0, as far as the grid tells, and near misses."""
-        gaps = in_chunks(lambda x: family_gaps(self.family, jnp.asarray(coefficients[:, channels]), x), self.nodes)
-        gaps = gaps - self.sensitivity[:, None] * rounding[channels]
+        # All channels, those that need it or not: a program is compiled for every number of channels.
+        gaps = in_chunks(lambda x: family_gaps(self.family, jnp.asarray(coefficients), x), self.nodes)
+        gaps = gaps - self.sensitivity[:, None] * rounding
         return {
             c: follow(
                 self.family,
                 coefficients[:, c],
                 rounding[c],
-                self._promising(gap.reshape(self.shape)),
+                self._promising(gaps[:, c].reshape(self.shape)),
                 self.spacing / 2,
                 steps,
             )
-            for c, gap in zip(channels, gaps.T, strict=True)
+            for c in channels
         }
 
     def _promising(self, gap: np.ndarray) -> np.ndarray:
@@ -176,16 +177,13 @@ def follow(
 
 
 def in_chunks(function, x: np.ndarray) -> np.ndarray:
-    """`function` of points `(n, d)`, in calls of few shapes."""
+    """`function` of points `(n, d)`, in calls of one shape."""
     if len(x) == 0:
-        return np.asarray(function(jnp.asarray(np.zeros((1, x.shape[1])))))[:0]
-    parts, start = [], 0
-    while start < len(x):
-        size = next((size for size in CHUNKS if len(x) - start <= size), CHUNKS[-1])
-        part = x[start : start + size]
-        padded = np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)])
+        return np.asarray(function(jnp.zeros((CHUNK, x.shape[1]))))[:0]
+    parts = []
+    for part in np.split(x, range(CHUNK, len(x), CHUNK)):
+        padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part), axis=0)])
         parts.append(np.asarray(function(jnp.asarray(padded)))[: len(part)])
-        start += size
     return np.concatenate(parts)
 
 

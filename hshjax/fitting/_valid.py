@@ -24,7 +24,7 @@ from hshjax.bases import AbstractPairBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import EXPONENTS, Target
 from hshjax.fitting._certificate import Certificate, certify
-from hshjax.fitting._constraints import Family, families, horizon_equations, interior, vanishes
+from hshjax.fitting._constraints import CONSTRAINTS, Family, families, horizon_equations, interior, vanishes
 from hshjax.fitting._exchange import Active, Exchange
 from hshjax.fitting._least_distance import InfeasibleError
 from hshjax.fitting._search import follow
@@ -61,8 +61,8 @@ class Problem:
 class Shape(eqx.Module):
     """What shapes a channel, for every family: points `(m, d)` at minima, and multipliers `(m,)`."""
 
-    x: tuple[Float[Array, "m d"], ...]
-    multiplier: tuple[Float[Array, " m"], ...]
+    x: tuple[Array, ...]
+    multiplier: tuple[Array, ...]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -107,26 +107,33 @@ def constrained(
 
 
 def _until_certified(problem: Problem, exchange: Exchange, dtype: np.dtype) -> Certificate:
-    while not exchange.settled and exchange.rounds < problem.rounds:
-        exchange.round()
-    active = tuple(sum(a.multiplier.size for a in channel.active) for channel in exchange.channels)
-
     def look(lift):
         kept = exchange.coefficients.astype(dtype).astype(np.float64)
+        active = tuple(sum(a.multiplier.size for a in channel.active) for channel in exchange.channels)
         return certify(problem.basis, kept, problem.target, problem.constraints, dtype, exchange.rounds, active, lift)
 
-    certificate, gaps = look(np.zeros(len(exchange.channels)))
-    if certificate.holds:
-        return certificate
-    # Something was left over, or not seen: a constant on top, and a factor for what it adds to the albedo.
-    lift = SAFETY * np.maximum(-gaps.get("non_negative", np.zeros(len(active))), 0)
+    none = np.zeros(len(exchange.channels))
+    while True:
+        while not exchange.settled and exchange.rounds < problem.rounds:
+            exchange.round()
+        certificate, found = look(none)
+        if certificate.holds:
+            return certificate
+        if exchange.rounds >= problem.rounds:
+            break
+        exchange.add([found[name] for name in CONSTRAINTS if name in problem.constraints])
+    # What the last round left over: a constant on top, and a factor for what it adds to the albedo.
+    lift = none
+    if "non_negative" in problem.constraints:
+        lift = SAFETY * np.maximum(-found["non_negative"].lowest, 0)
     if np.any(lift > LARGEST_LIFT):
         return certificate
     inside = interior(problem.basis, EXPONENTS[problem.target], problem.constraints)
     exchange.coefficients = exchange.coefficients + lift * inside[:, None]
     if "energy" in problem.constraints:
-        over = np.maximum(-gaps["energy"], 0)
-        exchange.coefficients = exchange.coefficients / (1 + SAFETY * over + np.pi * lift * (over > 0))
+        gap = found["energy"].lowest
+        albedo = 1 - gap + (SAFETY - 1) * np.maximum(-gap, 0) + np.pi * lift
+        exchange.coefficients = exchange.coefficients / np.maximum(albedo, 1)
     return look(lift)[0]
 
 
