@@ -71,14 +71,17 @@ def certify(
     edge = 2 * np.arccos(np.sqrt(NEAREST[dtype])) if exponent else np.pi
     depth = int(vanishes(exponent, constraints))
     # Not `families`: both figures are reported whatever was asked for, and looked for just as close to the horizon.
-    values, energy = NonNegative(basis, (depth * basis.reciprocal, depth), edge), Energy(basis, exponent, exponent, edge)
+    values, energy = (
+        NonNegative(basis, (depth * basis.reciprocal, depth), edge),
+        Energy(basis, exponent, exponent, edge),
+    )
     pairs, directions = _pairs(values), _directions(energy)
     dark, bright = _lowest(values, coefficients, pairs, exponent), _lowest(energy, coefficients, directions, 0.0)
     kept = {"non_negative": dark.figure >= -TOLERANCE, "energy": -bright.figure <= 1 + TOLERANCE}
     holds = bool(np.all([kept[name] for name in constraints]))
     theta = float(np.arccos(np.cos(edge / 2) ** 2))
-    figures = (jnp.asarray(figure, dtype) for figure in (dark.figure, -bright.figure, lift))
-    certificate = Certificate(*figures, holds, len(pairs), len(directions), theta, rounds, active)
+    smallest, albedo, added = (jnp.asarray(figure, dtype) for figure in (dark.figure, -bright.figure, lift))
+    certificate = Certificate(smallest, albedo, added, holds, len(pairs), len(directions), theta, rounds, active)
     return certificate, {"non_negative": dark, "energy": bright._replace(lowest=1 + bright.lowest)}
 
 

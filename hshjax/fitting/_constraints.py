@@ -8,8 +8,8 @@ as α with z = cos²(α/2): the basis functions are trigonometric polynomials in
 α = π, where functions of z may have infinite slope.
 
 **The horizon.** The series g of a foreshortened target stands for (z_i z_o)^p ρ. Under both constraints at once,
-0 <= ∫ g z_i^(1-p) dω_i <= z_o^p forces g to vanish at z_o = 0 for every wi; and not only like z_o^(1/2), as HSH of m = 1
-do, for these change their sign with φ. That is a set of linear equations for the coefficients; they are solved
+0 <= ∫ g z_i^(1-p) dω_i <= z_o^p forces g to vanish at z_o = 0 for every wi; and not only like z_o^(1/2), as HSH of
+m = 1 do, for these change their sign with φ. That is a set of linear equations for the coefficients; they are solved
 beforehand (`horizon_equations`), and the rows are divided by z_o, so that they stay finite and of order 1.
 """
 

@@ -109,8 +109,7 @@ class Exchange:
         # What is far from active would only slow the next solution down.
         keep = (multiplier > 0) | (slack <= np.sort(slack)[min(slack.size, 2 * point.size) - 1])
         channel.active = [
-            Active(x[m > 0], m[m > 0])
-            for x, m in zip(channel.points, np.split(multiplier, ends), strict=True)
+            Active(x[m > 0], m[m > 0]) for x, m in zip(channel.points, np.split(multiplier, ends), strict=True)
         ]
         channel.points = [x[k] for x, k in zip(channel.points, np.split(keep, ends), strict=True)]
 

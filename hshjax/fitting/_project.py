@@ -107,12 +107,13 @@ def project(
     if inner:
         coefficients = _inner_products(basis, chosen, samples)
         condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
-        diagonal = jnp.ones(unknowns, coefficients.dtype)
+        diagonal, root = jnp.ones(unknowns, coefficients.dtype), None
         if gamma is not None:  # BᵀWB is the identity: the penalty shrinks every coefficient by itself
             diagonal = diagonal + gamma.astype(coefficients.dtype)
             coefficients = coefficients / diagonal[:, None]
             condition = jnp.sqrt(jnp.max(diagonal) / jnp.min(diagonal))
     else:
+        diagonal = None
         with suited_threads(unknowns + samples.channels):
             coefficients, condition, factor, root = _least_squares(basis, chosen, samples, gamma)
             if visible:
@@ -126,7 +127,7 @@ def project(
 
     certificate, result = None, Outcome.converged
     if constraints:
-        if inner:
+        if diagonal is not None:
             gradient, parameters, root = _inner_gradient, (coefficients, diagonal), jnp.diag(jnp.sqrt(diagonal))
         else:
             gradient, parameters = partial(_residual_of, basis, chosen), (samples, gamma)

@@ -7,7 +7,7 @@ are followed to the minimum of the function itself.
 """
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +38,7 @@ class SearchGrid:
     def __init__(self, family: Family):
         self.family = family
         lower, upper = family.box
+        counts = [LARGEST]
         for density in NODES_A_WAVELENGTH:
             # A box side of length L holds degree x L / 2π wavelengths.
             counts = [
@@ -87,7 +88,7 @@ class SearchGrid:
         step, predicted = _predict(gap, low, self.family.periodic)
         sheet = np.full(gap.shape, np.inf)
         sheet[tuple(low.T)] = predicted
-        modes = ["wrap" if wraps else "nearest" for wraps in self.family.periodic]
+        modes: Any = ["wrap" if wraps else "nearest" for wraps in self.family.periodic]
         lowest = (sheet <= minimum_filter(sheet, 3, mode=modes))[tuple(low.T)] & (predicted < 0.02 * scale)
         order = np.argsort(predicted)
         beside = order[~lowest[order] & (predicted[order] < 0)][:FOLLOWED]

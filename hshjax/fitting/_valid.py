@@ -11,6 +11,7 @@ The points move with the data, and that is of first order in dc: without the thi
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -78,8 +79,8 @@ def constrained(
     """
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((parameters, start, root))):
         raise ValueError(
-            "constraints are found by looking at the values, which jax.jit and jax.vmap hide: call `project` outside of "
-            "them (jax.grad, jax.jvp and jax.jacobian work there; several materials on the same directions are channels)"
+            "constraints are met by looking at the values, which jax.jit and jax.vmap hide: call `project` outside of "
+            "them (jax.grad and jax.jvp work there; several materials on the same directions are channels)"
         )
     dtype = np.dtype(start.dtype)
     begin = np.asarray(start, np.float64)
@@ -144,9 +145,7 @@ def _shape(exchange: Exchange, c: int, dtype: np.dtype) -> Shape:
         Active(np.zeros((0, grid.spacing.size)), np.zeros(0)) for grid in exchange.grids
     ]
     for grid, (x, multiplier) in zip(exchange.grids, active, strict=True):
-        minima = follow(
-            grid.family, exchange.coefficients[:, c], exchange.rounding[c], x, grid.spacing / 20, steps=4
-        ).x
+        minima = follow(grid.family, exchange.coefficients[:, c], exchange.rounding[c], x, grid.spacing / 20, steps=4).x
         if grid.family.swaps and minima.shape[1] == 3:
             turned = minima[:, [1, 0, 2]] * [1, 1, 1 if not grid.family.periodic[2] else -1]
             minima = np.where(minima[:, :1] > minima[:, 1:2], turned, minima)
@@ -164,9 +163,7 @@ def _(problem, primals, tangents):
     coefficients, shapes, certificate = constrained(problem, parameters, start, root)
     force = jax.jvp(lambda p: problem.gradient(p, coefficients), (parameters,), (tangents[0],))[1]
     hessian = _hessian(problem, parameters, coefficients)
-    found = [
-        _sensitivity(problem, hessian, coefficients[:, c], shape, force[:, c]) for c, shape in enumerate(shapes)
-    ]
+    found = [_sensitivity(problem, hessian, coefficients[:, c], shape, force[:, c]) for c, shape in enumerate(shapes)]
     tangent = jnp.stack([d for d, _ in found], axis=1)
     still = jax.tree.map(jnp.zeros_like, certificate)
     return (coefficients, shapes, certificate), (tangent, tuple(shape for _, shape in found), still)
@@ -204,7 +201,7 @@ def _sensitivity(
     solution = jnp.linalg.solve(system, jnp.concatenate([force, jnp.zeros(count, dtype)]))
     tangent, forces = solution[:n], solution[n:] / size[:, 0]
     ends = np.cumsum([0 if equations is None else len(equations[0]), *(len(x) for x in shape.x)])
-    d_multiplier = tuple(forces[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True))
+    d_multiplier = tuple(forces[a:b] for a, b in pairwise(ends))
     d_x = tuple(-jnp.einsum("jde,jne,n->jd", response, slopes, tangent) for slopes, response in moves)
     return tangent, Shape(d_x, d_multiplier)
 
