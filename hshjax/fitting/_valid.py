@@ -214,7 +214,7 @@ def _local(family: Family, x: Array, coefficients: Array) -> tuple[Array, Array,
     """
     lower, upper = (jnp.asarray(corner, x.dtype) for corner in family.box)
     near = 1e-6 * (upper - lower)
-    free = jnp.asarray(family.periodic) | ((x > lower + near) & (x < upper - near))
+    free = jnp.asarray(family.periodic)[None] | ((x > (lower + near)[None]) & (x < (upper - near)[None]))
 
     def row(point):
         return family.rows(point[None])[0]

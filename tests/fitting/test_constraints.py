@@ -186,8 +186,9 @@ def test_the_optimum_of_a_discretised_problem():
     basis, samples = IsotropicBasis(HSH(1)), samples_of(lobe(0.3))
     fit = project(basis, samples, norm="C", constraints=("non_negative",), reciprocity=False)
     start = np.asarray(project(basis, samples, norm="C", reciprocity=False).model.coefficients, np.float64)[:, 0]
-    rule = isotropic_pair_rule(60, azimuths=60, dtype=DTYPE)
-    rows = np.asarray(basis(rule.wi, rule.wo), np.float64)
+    theta, turn = np.pi / 2 * np.sin(np.linspace(0, np.pi / 2, 41)), np.linspace(0, np.pi, 41)
+    ti, to, phi = (jnp.asarray(axis.ravel(), DTYPE) for axis in np.meshgrid(theta, theta, turn, indexing="ij"))
+    rows = np.asarray(basis(direction(ti, jnp.zeros_like(ti)), direction(to, phi)), np.float64)
     oracle = minimize(
         lambda c: np.sum((c - start) ** 2),
         start,
@@ -197,7 +198,7 @@ def test_the_optimum_of_a_discretised_problem():
         options={"ftol": 1e-12},
     )
     assert np.linalg.norm(oracle.x - start) > 0.01
-    # Nodes are 0.05 apart; what a parabola does between them is of second order.
+    # Nodes are at most 0.06 apart; what a parabola does between them is of second order.
     assert_close(np.asarray(fit.model.coefficients)[:, 0], oracle.x, tolerance=1e-2 * np.linalg.norm(oracle.x - start))
 
 
@@ -209,7 +210,7 @@ def test_a_measured_material(norm, data):
     assert negativity(free.model, isotropic_pair_rule(16)).minimum < -0.1
     fit = project(BASIS, samples, norm=norm, constraints=BOTH, reciprocity=False)
     assert_valid(fit, BOTH)
-    assert np.all(fit.relative < 1.2 * free.relative)
+    assert np.all(fit.relative < 1.5 * free.relative)
 
 
 # --- derivatives, refusals --------------------------------------------------------------------------------------------
@@ -227,6 +228,26 @@ def test_a_white_surface_stays_white_when_the_data_grow():
     value, slope = jax.jvp(coefficients, (jnp.asarray(1.0),), (jnp.asarray(1.0),))
     assert np.linalg.norm(value) > 1
     assert_close(slope, np.zeros_like(value), tolerance=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not X64, reason="differences need float64")
+def test_derivative_where_points_move_with_the_data():
+    samples = samples_of(lobe(0.3))
+    change = samples.value * jnp.asarray(np.random.default_rng(0).normal(size=samples.value.shape), DTYPE)
+
+    def coefficients(t):
+        moved = Samples(
+            samples.wi, samples.wo, samples.value + t * change, samples.weight, samples.degree, samples.isotropic
+        )
+        fit = project(BASIS, moved, norm="D", constraints=("non_negative",), reciprocity=False, rounds=30)
+        return fit.model.coefficients
+
+    _, slope = jax.jvp(coefficients, (jnp.asarray(0.0),), (jnp.asarray(1.0),))
+    step = 0.03
+    quotient = (coefficients(step) - coefficients(-step)) / (2 * step)
+    # An optimum is known to its margin only, some 1e-3 of the step's effect; 2 % were seen.
+    assert np.linalg.norm(quotient - slope) < 0.05 * np.linalg.norm(slope)
 
 
 SMALL = IsotropicBasis(HSH(1))
