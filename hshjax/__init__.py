@@ -47,6 +47,7 @@ from hshjax.fitting import (
     NORMS as NORMS,
     AbstractTerm as AbstractTerm,
     Cauchy as Cauchy,
+    Certificate as Certificate,
     CosineWeighted as CosineWeighted,
     CubeRoot as CubeRoot,
     EnergyConservation as EnergyConservation,

@@ -182,7 +182,11 @@ def _parametric(name: str, samples, max_steps: int) -> tuple[Any, dict[str, str]
     from hshjax.fitting import CosineWeighted, SampleMisfit, fit as fit_model, initial_guesses, multi_start
 
     colour = jnp.zeros(samples.channels)
-    template = CookTorrance(colour, colour, jnp.asarray(0.3)) if name == "cook-torrance" else Lambert(colour) + GGX(colour, jnp.asarray(0.3))
+    template = (
+        CookTorrance(colour, colour, jnp.asarray(0.3))
+        if name == "cook-torrance"
+        else Lambert(colour) + GGX(colour, jnp.asarray(0.3))
+    )
     objective = {"data": SampleMisfit(samples, CosineWeighted())}
     with complaints.status("looking for a start"):
         ahead = multi_start(initial_guesses(template, samples), objective, max_steps=1, throw=False).best.model

@@ -1,6 +1,7 @@
 """Fits in closed form: projections in named norms, and the errors of all orders at once. Fits by gradients: `fit`."""
 
 from hshjax.fitting._batch import project_all as project_all
+from hshjax.fitting._certificate import Certificate as Certificate
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt

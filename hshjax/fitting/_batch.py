@@ -8,6 +8,7 @@ import numpy as np
 
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._linear import LinearBRDF
+from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._project import project
 from hshjax.fitting._result import Fit
 from hshjax.samples import Samples
@@ -43,6 +44,10 @@ def project_all(basis: AbstractPairBasis, samples: Sequence[Samples], **settings
 
 def _part(fit: Fit[LinearBRDF], channels: slice) -> Fit[LinearBRDF]:
     """The fit of some of the channels."""
+    if fit.certificate is not None:
+        certificate = fit.certificate.part(channels)
+        result = Outcome.converged if certificate.holds else Outcome.uncertified
+        fit = eqx.tree_at(lambda f: (f.certificate, f.result), fit, (certificate, result))
     return eqx.tree_at(
         lambda f: (f.model.coefficients, f.residual, f.relative, f.noise),
         fit,

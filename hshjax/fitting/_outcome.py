@@ -1,10 +1,10 @@
-"""How a gradient-based fit ended."""
+"""How a fit ended."""
 
 import equinox as eqx
 
 
 class Outcome(eqx.Enumeration):
-    """How a fit ended; the message of a member says what to do: `Outcome[fit.outcome]`."""
+    """How a fit ended; the message of every ending but `converged` says what to do: `Outcome[fit.result]`."""
 
     converged = "converged"
     step_limit = (
@@ -22,4 +22,8 @@ class Outcome(eqx.Enumeration):
     stalled = (
         "the solver gave up: its linear solve or line search failed. Add a prior or a ridge where the data leave "
         "parameters undetermined, or take a damped solver such as LevenbergMarquardt"
+    )
+    uncertified = (
+        "the constraints could not be certified within the rounds allowed: look at `certificate` for what is missing, "
+        "then allow more rounds, lower the order of the basis, or add a spectral ridge"
     )

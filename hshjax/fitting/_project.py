@@ -23,11 +23,14 @@ from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS, fold
 from hshjax.fitting._checks import check_determined, check_samples
+from hshjax.fitting._constraints import check_constraints
 from hshjax.fitting._lapack import suited_threads
 from hshjax.fitting._misfit import misfit, ratio
 from hshjax.fitting._norms import Norm, named_norm
+from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._result import Fit
+from hshjax.fitting._valid import Problem, constrained
 from hshjax.geometry import common_dtype
 from hshjax.metrics import ReciprocityError, reciprocity_error
 from hshjax.quadrature import PairRule
@@ -49,6 +52,8 @@ def project(
     prior: Prior | None = None,
     covariance: bool = False,
     reciprocity: bool | None = None,
+    constraints: tuple[str, ...] = (),
+    rounds: int = 16,
 ) -> Fit[LinearBRDF]:
     """The BRDF in the span of `basis` nearest to `samples`, in closed form.
 
@@ -67,16 +72,24 @@ def project(
       are no more samples than unknowns).
     - `reciprocity`: also the violation of reciprocity in the data (a search among all samples, on the host) and in the
       model. By default up to 200 000 samples, where it takes under a second.
+    - `constraints`: any of "non_negative" (ρ >= 0) and "energy" (directional albedo <= 1): the best fit among those
+      that are physically valid, with a `certificate` of it (see `Certificate`). Found on the host in float64, by
+      exchange of at most `rounds` rounds, all channels on one set of directions; where they do not suffice, the fit
+      comes with `result` `Outcome.uncertified`. Differentiable, but not inside `jax.jit` or `jax.vmap`. Both
+      constraints together force a series for sqrt(z_i z_o) ρ or z_i z_o ρ to vanish at the horizon, where its albedo
+      would be infinite otherwise. The price is what `relative` gains over a fit without constraints.
 
     **Returns:** a `Fit`. Beside the samples, memory holds a few blocks and two matrices of unknowns x unknowns.
 
     **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
     for weights that are negative or all zero; for isotropic samples and a basis that is not; for fewer samples than
-    unknowns, or samples that do not determine the unknowns, without a ridge. Inside `jax.jit` values cannot be seen:
+    unknowns, or samples that do not determine the unknowns, without a ridge; for constraints that are unknown, inside
+    `jax.jit` or `jax.vmap`, or beyond anything in the span of the basis. Inside `jax.jit` values cannot be seen:
     there an undetermined fit returns coefficients that are not finite, samples with a `degree` are taken for the whole
     rule, and reciprocity is not measured.
     """
     chosen = named_norm(norm)
+    check_constraints(constraints, rounds)
     gamma = penalty(basis, ridge, prior)
     unknowns = basis.count
     visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
@@ -94,11 +107,13 @@ def project(
     if inner:
         coefficients = _inner_products(basis, chosen, samples)
         condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
+        diagonal, root = jnp.ones(unknowns, coefficients.dtype), None
         if gamma is not None:  # BᵀWB is the identity: the penalty shrinks every coefficient by itself
-            diagonal = 1 + gamma.astype(coefficients.dtype)
+            diagonal = diagonal + gamma.astype(coefficients.dtype)
             coefficients = coefficients / diagonal[:, None]
             condition = jnp.sqrt(jnp.max(diagonal) / jnp.min(diagonal))
     else:
+        diagonal = None
         with suited_threads(unknowns + samples.channels):
             coefficients, condition, factor, root = _least_squares(basis, chosen, samples, gamma)
             if visible:
@@ -109,6 +124,16 @@ def project(
         if covariance:
             weight = samples.weight * chosen.fit_weight(samples.wi, samples.wo)
             posterior, noise = _posterior(factor, root, coefficients, weight)
+
+    certificate, result = None, Outcome.converged
+    if constraints:
+        if diagonal is not None:
+            gradient, parameters, root = _inner_gradient, (coefficients, diagonal), jnp.diag(jnp.sqrt(diagonal))
+        else:
+            gradient, parameters = partial(_residual_of, basis, chosen), (samples, gamma)
+        problem = Problem(basis, chosen.target, tuple(constraints), rounds, gradient)
+        coefficients, _, certificate = constrained(problem, parameters, coefficients, root)
+        result = Outcome.converged if certificate.holds else Outcome.uncertified
 
     model = LinearBRDF(basis, coefficients, chosen.target)
     residual, size = misfit(model, samples, norm)
@@ -128,6 +153,8 @@ def project(
         reciprocity_after=after,
         covariance=posterior,
         noise=noise,
+        certificate=certificate,
+        result=result,
     )
 
 
@@ -214,6 +241,17 @@ def _normal_residual(
 
     sums = fold(samples, _block_size(basis.count), jnp.zeros_like(coefficients), visit)
     return sums if gamma is None else sums - gamma.astype(sums.dtype)[:, None] * coefficients
+
+
+def _residual_of(basis: AbstractPairBasis, norm: Norm, parameters: tuple[Samples, Array | None], coefficients: Array):
+    """The normal residual as a function of all that it depends on."""
+    return _normal_residual(basis, norm, *parameters, coefficients)
+
+
+def _inner_gradient(parameters: tuple[Array, Array], coefficients: Array) -> Float[Array, "modes channels"]:
+    """The same where BᵀWB is the identity: (1 + Γ)(inner products / (1 + Γ) - c)."""
+    start, diagonal = parameters
+    return diagonal[:, None] * (start - coefficients)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int
+from hshjax.fitting._certificate import Certificate
 from hshjax.fitting._outcome import Outcome
 from hshjax.metrics import ReciprocityError
 
@@ -25,7 +26,9 @@ class Fit(eqx.Module, Generic[Model]):
       0). `reciprocity_after`: that of the model, over the directions of the data. None where they were not asked for.
     - `covariance`: `(modes, modes)`, to be multiplied by `noise`, the estimated variance per channel of a sample of
       weight 1 (of the series that is fitted: of z_i z_o ρ in norm D): the posterior of the coefficients for Gaussian
-      noise. None where it was not asked for.
+      noise. None where it was not asked for. Constraints do not enter it.
+    - `certificate`: what was found of the physical validity of the fit. None where no constraint was asked for.
+    - `result`: how the fit ended, an `Outcome`.
     """
 
     model: Model
@@ -40,6 +43,8 @@ class Fit(eqx.Module, Generic[Model]):
     reciprocity_after: ReciprocityError | None = None
     covariance: Float[Array, "modes modes"] | None = None
     noise: Float[Array, " channels"] | None = None
+    certificate: Certificate | None = None
+    result: Outcome = eqx.field(default_factory=lambda: Outcome.converged)
 
 
 class IterativeFit(eqx.Module, Generic[Model]):

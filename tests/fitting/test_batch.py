@@ -5,9 +5,9 @@ import pytest
 
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import Lambert, OrenNayar
-from hshjax.fitting import project, project_all
+from hshjax.fitting import Outcome, project, project_all
 from hshjax.samples import Samples
-from tests.helpers import DTYPE, assert_close, directions
+from tests.helpers import DTYPE, X64, assert_close, directions
 
 BASIS = IsotropicBasis(HSH(2))
 WI, WO = directions(0, 60), directions(1, 60)
@@ -41,3 +41,17 @@ def test_other_refusals():
         project_all(BASIS, [])
     with pytest.raises(ValueError, match="does not measure reciprocity"):
         project_all(BASIS, MATERIALS, reciprocity=True)
+
+
+def test_constraints_are_certified_for_each():
+    bright = Samples.scattered(WI, WO, 1.4 * Lambert(1.0)(WI, WO))
+    settings = {"norm": "C", "ridge": 1e-6, "prior": "spectral", "constraints": ("non_negative", "energy")}
+    for fitted, samples in zip(
+        project_all(BASIS, [*MATERIALS[1:], bright], **settings), [*MATERIALS[1:], bright], strict=True
+    ):
+        alone = project(BASIS, samples, reciprocity=False, **settings)
+        assert fitted.result == Outcome.converged
+        assert fitted.certificate.holds
+        assert fitted.certificate.smallest.shape == (1,)
+        # Constraints of the others, which do not bind here, leave room for the rounding of the exchange.
+        assert_close(fitted.model.coefficients, alone.model.coefficients, tolerance=1e-6 if X64 else 1e-3)

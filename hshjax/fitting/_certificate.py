@@ -1,0 +1,187 @@
+"""What can be said of a fit that is to be physically valid: on directions that the fit has not seen."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._typing import Array, Float
+from hshjax.bases import AbstractPairBasis
+from hshjax.brdfs._linear import EXPONENTS, Target, cosine_power
+from hshjax.fitting._constraints import NEAREST, Energy, Family, NonNegative, vanishes
+from hshjax.fitting._search import follow, in_chunks
+
+TOLERANCE = 1e-6
+"""What the smallest value [sr^-1] and the largest albedo may miss."""
+
+PAIRS = 300_000
+"""Upper limit of the pairs that are looked at."""
+
+DESCENTS = 64
+"""Lowest pairs a channel from which a minimum is sought between the nodes as well."""
+
+
+class Certificate(eqx.Module):
+    """The smallest ρ and the largest directional albedo of a fit, on directions that were not used to make it.
+
+    - `smallest`: smallest value of ρ per channel [sr^-1]; `albedo`: largest directional albedo per channel.
+    - `kept`: whether they keep what the constraints asked for, smallest >= -1e-6 sr^-1 and albedo <= 1 + 1e-6, per
+      channel. `holds`: whether all channels do.
+    - `pairs`, `directions`: at how many pairs, and how many outgoing directions, they were looked for.
+    - `max_theta`: the largest polar angle among them [radians]; below 90 degrees where ρ is a quotient of a series and
+      its cosines, whose rounding grows towards the horizon.
+    - `lift`: constant that was added to the optimum, per channel, to make up for what the last round of exchange left
+      over (to ρ; to the series, if that stands for z_i z_o ρ or its root and "energy" is not asked for). 0 where the
+      optimum itself is certified.
+    - `rounds`: rounds of exchange that the fit took. `active`: per channel, how many inequalities shape it.
+
+    For isotropic bases the pairs fill their three dimensions: nodes closer than the search's, with grazing angles, the
+    pole, retro-reflection and mirror direction added, and minima sought between the lowest of them. For others the four
+    dimensions are sampled, by quasi-random pairs and such configurations: a coarser look.
+    """
+
+    smallest: Float[Array, " channels"]
+    albedo: Float[Array, " channels"]
+    lift: Float[Array, " channels"]
+    kept: tuple[bool, ...] = eqx.field(static=True)
+    pairs: int = eqx.field(static=True)
+    directions: int = eqx.field(static=True)
+    max_theta: float = eqx.field(static=True)
+    rounds: int = eqx.field(static=True)
+    active: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def holds(self) -> bool:
+        """Whether every channel keeps what the constraints asked for."""
+        return all(self.kept)
+
+    def part(self, channels: slice) -> "Certificate":
+        """The certificate of some of the channels."""
+        return Certificate(
+            self.smallest[channels],
+            self.albedo[channels],
+            self.lift[channels],
+            self.kept[channels],
+            self.pairs,
+            self.directions,
+            self.max_theta,
+            self.rounds,
+            self.active[channels],
+        )
+
+
+def certify(
+    basis: AbstractPairBasis,
+    coefficients: np.ndarray,
+    target: Target,
+    constraints: tuple[str, ...],
+    dtype: np.dtype,
+    rounds: int,
+    active: tuple[int, ...],
+    lift: np.ndarray,
+) -> tuple[Certificate, dict[str, "Lowest"]]:
+    """The certificate of float64 `coefficients` `(modes, channels)`, which are kept in `dtype`.
+
+    Also what is lowest for each constraint.
+    """
+    exponent = EXPONENTS[target]
+    edge = 2 * np.arccos(np.sqrt(NEAREST[dtype])) if exponent else np.pi
+    depth = int(vanishes(exponent, constraints))
+    # Not `families`: both figures are reported whatever was asked for, and looked for just as close to the horizon.
+    values, energy = (
+        NonNegative(basis, (depth * basis.reciprocal, depth), edge),
+        Energy(basis, exponent, exponent, edge),
+    )
+    pairs, directions = _pairs(values), _directions(energy)
+    dark, bright = _lowest(values, coefficients, pairs, exponent), _lowest(energy, coefficients, directions, 0.0)
+    kept = {"non_negative": dark.figure >= -TOLERANCE, "energy": -bright.figure <= 1 + TOLERANCE}
+    every = tuple(bool(all(channel)) for channel in zip(*(kept[name] for name in constraints), strict=True))
+    theta = float(np.arccos(np.cos(edge / 2) ** 2))
+    smallest, albedo, added = (jnp.asarray(figure, dtype) for figure in (dark.figure, -bright.figure, lift))
+    certificate = Certificate(smallest, albedo, added, every, len(pairs), len(directions), theta, rounds, active)
+    return certificate, {"non_negative": dark, "energy": bright._replace(lowest=1 + bright.lowest)}
+
+
+class Lowest(NamedTuple):
+    """Per channel: the smallest ρ (or -albedo), the smallest gap in the scale of the rows, and the lowest points."""
+
+    figure: np.ndarray
+    lowest: np.ndarray
+    points: list[np.ndarray]
+
+
+@partial(jax.jit, static_argnums=(0, 3))
+def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Float[Array, "n 2 channels"]:
+    """ρ at pairs, or minus the albedo of directions; and what the rows add up to."""
+    sums = family.sums(coefficients, x)
+    if isinstance(family, Energy):
+        return jnp.stack([sums, sums], axis=1)
+    factor = family.scale(x) / cosine_power(*family.pairs(x), exponent)
+    return jnp.stack([sums * factor[:, None], sums], axis=1)
+
+
+def _lowest(family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: float) -> Lowest:
+    """At the points, and at the minima next to the lowest of them."""
+
+    def look(points):
+        return in_chunks(lambda p: _sums(family, jnp.asarray(coefficients), p, exponent), points)
+
+    figure, lowest, points = [], [], []
+    at_points = look(x)
+    for c in range(coefficients.shape[1]):
+        start = x[np.unique(np.argsort(at_points[:, :, c], axis=0)[:DESCENTS])]
+        between = follow(family, coefficients[:, c], 0.0, start, np.full(x.shape[1], 0.02), steps=4).x
+        seen = np.concatenate([at_points[:, :, c], look(between)[:, :, c]])
+        figure.append(np.min(seen[:, 0]))
+        lowest.append(np.min(seen[:, 1]))
+        points.append(between)
+    return Lowest(np.array(figure), np.array(lowest), points)
+
+
+def _polar(count: int, edge: float) -> np.ndarray:
+    """α of evenly spaced polar angles, and of some near the pole and the horizon."""
+    last = np.degrees(np.arccos(np.cos(edge / 2) ** 2))
+    theta = (np.arange(count) + 0.5) / count * last
+    theta = np.radians(np.r_[theta, 0, 0.05, 0.5, [t for t in (86, 88, 89, 89.5, 89.9) if t < last], last])
+    return 2 * np.arcsin(np.minimum(np.sqrt(2) * np.sin(theta / 2), 1))  # cos²(α/2) = cos θ
+
+
+def _pairs(family: NonNegative) -> np.ndarray:
+    polar, azimuth = family.degrees()[0], family.degrees()[2]
+    lower, upper = family.box
+    if family.box.shape[1] == 4:
+        return _four_dimensional(family)
+    n, m = max(30, 6 * polar), max(30, 6 * azimuth)
+    shrink = min(1.0, (PAIRS / (m * (n + 9) ** 2)) ** (1 / 3))
+    alpha = _polar(int(n * shrink), family.edge)
+    phi = lower[2] + (np.arange(int(m * shrink)) + 0.5) / int(m * shrink) * (upper[2] - lower[2])
+    phi = np.r_[phi, 0, 0.005, np.pi - 0.005, np.pi]  # retro-reflection and mirror direction: θ_i runs through θ_o
+    grid = np.stack(np.meshgrid(alpha, alpha, phi, indexing="ij"), axis=-1).reshape(-1, 3)
+    return grid[grid[:, 0] <= grid[:, 1]] if family.swaps else grid
+
+
+def _four_dimensional(family: NonNegative) -> np.ndarray:
+    from scipy.stats import qmc  # here, to keep `import hshjax` cheap
+
+    lower, upper = family.box
+    anywhere = qmc.scale(qmc.Halton(4, rng=np.random.default_rng(0)).random(PAIRS // 2), lower, upper)
+    alpha = _polar(24, family.edge)
+    phi = np.pi * (2 * (np.arange(24) + 0.5) / 24 - 1)
+    ai, ao, phi_i = (axis.ravel() for axis in np.meshgrid(alpha, alpha, phi, indexing="ij"))
+    mirror, retro = (np.stack([ai, ao, phi_i, phi_i + turn], axis=1) for turn in (np.pi, 0))
+    special = np.concatenate([mirror, retro])
+    special[:, 3] = np.mod(special[:, 3] + np.pi, 2 * np.pi) - np.pi
+    return np.concatenate([anywhere, special])
+
+
+def _directions(family: Energy) -> np.ndarray:
+    polar, *azimuth = family.degrees()
+    alpha = _polar(max(200, 20 * polar), family.edge)
+    if not azimuth:
+        return alpha[:, None]
+    count = max(60, 8 * azimuth[0])
+    phi = np.pi * (2 * (np.arange(count) + 0.5) / count - 1)
+    return np.stack(np.meshgrid(alpha, phi, indexing="ij"), axis=-1).reshape(-1, 2)

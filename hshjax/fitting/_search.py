@@ -1,0 +1,195 @@
+"""Where a family of inequalities is violated most: all minima of a smooth function on a box, for all channels at once.
+
+The functions are trigonometric polynomials, so that a grid of a few nodes a wavelength sees every feature of them. It
+does not see every minimum: at the bottom of a curved valley neighbouring nodes lie at different heights of its walls.
+Therefore every low node is judged by the minimum of the quadratic through its neighbourhood, and the promising ones
+are followed to the minimum of the function itself.
+"""
+
+import itertools
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax.fitting._constraints import Family, family_gaps, family_levels
+
+NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
+"""Densities of the search grid; the first that keeps it below `LARGEST` nodes is taken."""
+
+LARGEST = 300_000
+FOLLOWED = 300
+"""Nodes a channel that are followed beside the local minima of the predictions."""
+
+CHUNK = 2048
+"""Points a call: one shape, so that little is compiled; small, so that rows keep to some MB."""
+
+
+class Minima(NamedTuple):
+    """Points `(n, d)` and their gap row(x) · c - floor(x) - rounding `(n,)`, without the margin."""
+
+    x: np.ndarray
+    gap: np.ndarray
+
+
+class SearchGrid:
+    """The nodes of one family. Host arrays, float64."""
+
+    def __init__(self, family: Family):
+        self.family = family
+        lower, upper = family.box
+        counts = [LARGEST]
+        for density in NODES_A_WAVELENGTH:
+            # A box side of length L holds degree x L / 2π wavelengths.
+            counts = [
+                max(8, int(np.ceil(density * degree * (b - a) / (2 * np.pi)))) + 1
+                for degree, a, b in zip(family.degrees(), lower, upper, strict=True)
+            ]
+            if np.prod(counts) <= LARGEST:
+                break
+        axes = [
+            np.linspace(a, b, n, endpoint=not wraps)
+            for a, b, n, wraps in zip(lower, upper, counts, family.periodic, strict=True)
+        ]
+        self.shape = tuple(counts)
+        self.spacing = np.array([axis[1] - axis[0] for axis in axes])
+        self.nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+        self.sensitivity = in_chunks(lambda x: family_levels(family, x)[1], self.nodes)
+
+    def minima(
+        self, coefficients: np.ndarray, channels: list[int], rounding: np.ndarray, steps: int
+    ) -> dict[int, Minima]:
+        """The lowest points for each of `channels`: all that lie below 0, as far as the grid tells, and near misses."""
+        # All channels, those that need it or not: a program is compiled for every number of channels.
+        gaps = in_chunks(lambda x: family_gaps(self.family, jnp.asarray(coefficients), x), self.nodes)
+        gaps = gaps - self.sensitivity[:, None] * rounding
+        return {
+            c: follow(
+                self.family,
+                coefficients[:, c],
+                rounding[c],
+                self._promising(gaps[:, c].reshape(self.shape)),
+                self.spacing / 2,
+                steps,
+            )
+            for c in channels
+        }
+
+    def _promising(self, gap: np.ndarray) -> np.ndarray:
+        """Points from which to descend."""
+        from scipy.ndimage import minimum_filter  # here, to keep `import hshjax` cheap
+
+        scale = np.mean(np.abs(gap))
+        low = np.argwhere(gap < np.maximum(0.1 * scale, np.min(gap)))
+        if len(low) == 0:
+            low = np.argwhere(gap == np.min(gap))[:1]
+        if self.family.swaps:  # the other half says the same
+            low = low[low[:, 0] <= low[:, 1]] if np.any(low[:, 0] <= low[:, 1]) else low
+        step, predicted = _predict(gap, low, self.family.periodic)
+        sheet = np.full(gap.shape, np.inf)
+        sheet[tuple(low.T)] = predicted
+        modes: Any = ["wrap" if wraps else "nearest" for wraps in self.family.periodic]
+        lowest = (sheet <= minimum_filter(sheet, 3, mode=modes))[tuple(low.T)] & (predicted < 0.02 * scale)
+        order = np.argsort(predicted)
+        beside = order[~lowest[order] & (predicted[order] < 0)][:FOLLOWED]
+        chosen = np.concatenate([order[lowest[order]], beside])
+        flat = np.ravel_multi_index(tuple(low[chosen].T), gap.shape)
+        return _into(self.family, self.nodes[flat] + step[chosen] * self.spacing)
+
+
+def _predict(gap: np.ndarray, nodes: np.ndarray, periodic: tuple[bool, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Step [nodes] towards the minimum of the quadratic about each node, no further than a node, and its value."""
+    padded = gap
+    for axis, wraps in enumerate(periodic):
+        width = [(1, 1) if a == axis else (0, 0) for a in range(gap.ndim)]
+        # Odd reflection continues the function in a straight line: at an edge, the slope decides.
+        padded = np.pad(padded, width, mode="wrap") if wraps else np.pad(padded, width, "reflect", reflect_type="odd")
+    here = nodes + 1
+
+    def at(*shifts):
+        return np.array([padded[tuple((here + shift).T)] for shift in shifts])
+
+    values = at(*stencil(gap.ndim)).T
+    step, predicted = _descend(values, gap.ndim)
+    return step, np.minimum(predicted, values[:, 0])
+
+
+def stencil(d: int) -> np.ndarray:
+    """Shifts that a quadratic is fitted to: the centre, ± every axis, the four diagonals of every pair of axes."""
+    unit = np.eye(d, dtype=int)
+    shifts = [0 * unit[0]]
+    for e in unit:
+        shifts += [e, -e]
+    for e, f in itertools.combinations(unit, 2):
+        shifts += [e + f, -e - f, e - f, f - e]
+    return np.array(shifts)
+
+
+def _descend(values: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray]:
+    """Newton step of the quadratic through the stencil, |.| of its curvatures, at most 1 a coordinate; its value."""
+    slope = (values[:, 1 : 2 * d + 1 : 2] - values[:, 2 : 2 * d + 1 : 2]) / 2
+    curvature = np.zeros((len(values), d, d))
+    for i in range(d):
+        curvature[:, i, i] = values[:, 1 + 2 * i] + values[:, 2 + 2 * i] - 2 * values[:, 0]
+    for k, (i, j) in enumerate(itertools.combinations(range(d), 2)):
+        q = values[:, 1 + 2 * d + 4 * k :][:, :4]
+        curvature[:, i, j] = curvature[:, j, i] = (q[:, 0] + q[:, 1] - q[:, 2] - q[:, 3]) / 4
+    bends, axes = np.linalg.eigh(curvature)
+    # A straight direction has no Newton step; a tiny curvature instead leads to the limit of 1.
+    bends = np.maximum(np.abs(bends), 1e-12 * np.max(np.abs(values), axis=1, initial=1e-300)[:, None])
+    step = -np.einsum("nij,nj->ni", axes, np.einsum("nji,nj->ni", axes, slope) / bends)
+    step /= np.maximum(1, np.max(np.abs(step), axis=1, keepdims=True))
+    return step, values[:, 0] + np.sum(slope * step, axis=1) + np.einsum("ni,nij,nj->n", step, curvature, step) / 2
+
+
+def follow(
+    family: Family, coefficients: np.ndarray, rounding: float, x: np.ndarray, spacing: np.ndarray, steps: int
+) -> Minima:
+    """Descend from every point to a minimum nearby, by quadratics on stencils that shrink from `spacing`.
+
+    `coefficients` `(modes,)`, `rounding`: of one channel.
+    """
+    shifts, d = stencil(x.shape[1]), x.shape[1]
+    lower, upper = family.box
+    column = jnp.asarray(coefficients[:, None])
+
+    def gaps(points):
+        def gap(p):
+            return family_gaps(family, column, p)[:, 0] - rounding * family_levels(family, p)[1]
+
+        return in_chunks(gap, points)
+
+    best = gaps(x)
+    for _ in range(steps):
+        # The stencil keeps to the box: beyond the horizon there is nothing to see.
+        centre = np.where(family.periodic, x, np.clip(x, lower + spacing, upper - spacing))
+        points = _into(family, (centre[:, None] + shifts * spacing).reshape(-1, d))
+        values = gaps(points).reshape(len(x), len(shifts))
+        step, _ = _descend(values, d)
+        target = _into(family, centre + step * spacing)
+        k = np.argmin(values, axis=1)
+        corner = points.reshape(len(x), len(shifts), d)[np.arange(len(x)), k]
+        choices = np.stack([gaps(target), values[np.arange(len(x)), k], best])
+        winner = np.argmin(choices, axis=0)
+        x = np.where((winner == 0)[:, None], target, np.where((winner == 1)[:, None], corner, x))
+        best = np.min(choices, axis=0)
+        spacing = spacing / 6
+    return Minima(x, best)
+
+
+def in_chunks(function, x: np.ndarray) -> np.ndarray:
+    """`function` of points `(n, d)`, in calls of one shape."""
+    if len(x) == 0:
+        return np.asarray(function(jnp.zeros((CHUNK, x.shape[1]))))[:0]
+    parts = []
+    for part in np.split(x, range(CHUNK, len(x), CHUNK)):
+        padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part), axis=0)])
+        parts.append(np.asarray(function(jnp.asarray(padded)))[: len(part)])
+    return np.concatenate(parts)
+
+
+def _into(family: Family, x: np.ndarray) -> np.ndarray:
+    """Points moved into the box: wrapped where it wraps, else to the nearest face."""
+    lower, upper = family.box
+    wrapped = lower + np.mod(x - lower, upper - lower)
+    return np.where(family.periodic, wrapped, np.clip(x, lower, upper))
