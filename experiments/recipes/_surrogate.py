@@ -34,7 +34,8 @@ class Surrogate:
 def _evaluate(layers, wi, wo):
     x = _rusinkiewicz(wi, wo)
     for k, (kernel, bias) in enumerate(layers):
-        x = x @ kernel + bias
+        x = x @ kernel
+        x = x + jnp.broadcast_to(bias, x.shape)
         if k < len(layers) - 1:
             x = jax.nn.relu(x)
     return jnp.expm1(x)
