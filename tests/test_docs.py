@@ -10,7 +10,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-RUN = [ROOT / "README.md", ROOT / "docs" / "fit_a_material.md", ROOT / "docs" / "use_as_a_layer.md"]
+RUN = [
+    ROOT / "README.md",
+    *(ROOT / "docs" / f"{page}.md" for page in ("fit_a_material", "fit_parameters", "use_as_a_layer")),
+]
 
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^()\s]+)\)")

@@ -114,6 +114,9 @@ def _radial_modes(basis: AbstractBasis, bilateral: bool) -> RadialModes:
     j, k = (np.array([basis.radial_index(mode[side], mode[2]) for mode in modes]) for side in (0, 1))
     m = np.array([mode[2] for mode in modes])
     norm = 1 / np.sqrt(2 * (1 + (j == k)) * np.where(m == 0, 1, 2))
+    # int32, which jax leaves alone whether 64-bit types are on or off: it keeps what it makes of int64 from one to the
+    # other, and then finds two types where it expects one.
+    m, j, k = (index.astype(np.int32) for index in (m, j, k))
     return RadialModes(np.abs(m), j, k, m < 0, norm)
 
 

@@ -271,7 +271,7 @@ def _pair_norm(diagonal: np.ndarray) -> np.ndarray:
 def _unordered_pairs(k: int) -> tuple[np.ndarray, np.ndarray]:
     """(a, b) with a <= b, ordered by b: the pairs of a smaller basis come first."""
     b, a = np.tril_indices(k)
-    return a, b
+    return a.astype(np.int32), b.astype(np.int32)  # int32 for the reason that is given in _isotropic.py
 
 
 @lru_cache
