@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hshjax.bases import HSH, IsotropicBasis
-from hshjax.brdfs import OrenNayar
+from hshjax.brdfs import CookTorrance, ExpBRDF, OrenNayar
 from hshjax.cli import app
 from hshjax.fitting import project
 from hshjax.io import load_model, save_model
@@ -34,7 +34,7 @@ def test_help_teaches():
 def test_a_model_is_described_and_fitted_again(model, tmp_path):
     described = run("info", model)
     assert described.exit_code == 0, described.output
-    for what in ("LinearBRDF", "4 x 1 channels", "foreshortened", "hemispherical albedo"):
+    for what in ("LinearBRDF", "4 x 1", "foreshortened", "hemispherical albedo"):
         assert what in described.output
     before = model.read_bytes()
     refused = run("fit", model, "--order", 1, "--degree", 8)
@@ -47,6 +47,25 @@ def test_a_model_is_described_and_fitted_again(model, tmp_path):
     assert "relative error, norm E" in fitted.output
     assert load_model(out).basis == IsotropicBasis(HSH(1))
     assert (tmp_path / "out.png").stat().st_size > 0
+
+
+def test_other_models_are_fitted_step_by_step(model, tmp_path):
+    for kind, what in (("exp", ExpBRDF), ("cook-torrance", CookTorrance)):
+        out = tmp_path / f"{kind}.hshjax"
+        fitted = run("fit", model, "--model", kind, "--order", 1, "--degree", 8, "--out", out)
+        assert fitted.exit_code == 0, fitted.output + fitted.stderr
+        assert "converged" in fitted.output
+        assert isinstance(load_model(out), what)
+
+
+def test_a_valid_fit_shows_its_certificate(model, tmp_path):
+    out = tmp_path / "valid.hshjax"
+    fitted = run("fit", model, "--valid", "--norm", "A", "--order", 1, "--degree", 8, "--out", out)
+    assert fitted.exit_code == 0, fitted.output + fitted.stderr
+    assert "holds: smallest value" in fitted.output
+    refused = run("fit", model, "--valid", "--model", "ggx", "--out", out)
+    assert refused.exit_code == 2
+    assert "--valid is for the linear model" in refused.stderr
 
 
 def test_errors_are_sentences(model, tmp_path):

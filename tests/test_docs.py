@@ -12,7 +12,10 @@ ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 RUN = [
     ROOT / "README.md",
-    *(ROOT / "docs" / f"{page}.md" for page in ("fit_a_material", "fit_parameters", "use_as_a_layer")),
+    *(
+        ROOT / "docs" / f"{page}.md"
+        for page in ("fit_a_material", "fit_by_gradients", "fit_parameters", "use_as_a_layer")
+    ),
 ]
 
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
