@@ -221,9 +221,12 @@ def _display(max_steps: int) -> Iterator[Callable[[str], Callable[[Any, Any], No
     )  # fmt: skip
     with Progress(*columns, console=complaints, transient=True) as bars:
 
+        def on_step(step, loss):  # one function for all lines: it is a part of the compiled program
+            bars.update(bars.task_ids[-1], completed=int(step) + 1, loss=f"{float(loss):.4g}")
+
         def line(name: str) -> Callable[[Any, Any], None]:
-            task = bars.add_task(name, total=max_steps, loss="-")
-            return lambda step, loss: bars.update(task, completed=int(step) + 1, loss=f"{float(loss):.4g}")
+            bars.add_task(name, total=max_steps, loss="-")
+            return on_step
 
         yield line
 

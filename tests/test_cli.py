@@ -10,6 +10,7 @@ from hshjax.fitting import project
 from hshjax.io import load_model, save_model
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
+from tests.helpers import slow_unless
 
 
 def run(*arguments):
@@ -49,13 +50,13 @@ def test_a_model_is_described_and_fitted_again(model, tmp_path):
     assert (tmp_path / "out.png").stat().st_size > 0
 
 
-def test_other_models_are_fitted_step_by_step(model, tmp_path):
-    for kind, what in (("exp", ExpBRDF), ("cook-torrance", CookTorrance)):
-        out = tmp_path / f"{kind}.hshjax"
-        fitted = run("fit", model, "--model", kind, "--order", 1, "--degree", 8, "--out", out)
-        assert fitted.exit_code == 0, fitted.output + fitted.stderr
-        assert "converged" in fitted.output
-        assert isinstance(load_model(out), what)
+@pytest.mark.parametrize(("kind", "what"), [("exp", ExpBRDF), slow_unless(False, "cook-torrance", CookTorrance)])
+def test_other_models_are_fitted_step_by_step(model, tmp_path, kind, what):
+    out = tmp_path / "out.hshjax"
+    fitted = run("fit", model, "--model", kind, "--order", 1, "--degree", 8, "--out", out)
+    assert fitted.exit_code == 0, fitted.output + fitted.stderr
+    assert "converged" in fitted.output
+    assert isinstance(load_model(out), what)
 
 
 def test_a_valid_fit_shows_its_certificate(model, tmp_path):

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers import slow_unless
+
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 RUN = [
@@ -54,7 +56,7 @@ def broken_links(page: Path) -> list[str]:
 
 
 @pytest.mark.skipif(os.environ.get("HSHJAX_TEST_DTYPE") == "float32", reason="pages run once, in a reader's defaults")
-@pytest.mark.parametrize("page", RUN, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", [slow_unless(page.stem != "fit_parameters", page, id=page.stem) for page in RUN])
 def test_python_of_a_page_runs(page, tmp_path):
     source = python_blocks(page)
     assert source.strip(), "a page without Python does not belong in this list"

@@ -17,8 +17,11 @@ from jax.tree_util import DictKey, GetAttrKey, KeyPath, SequenceKey, keystr
 
 from hshjax._typing import Array, Bool, Real
 
-INSIDE = 1e-3
+INSIDE = 1e-5
 """Where a start on a bound is moved to, as a share of the box: on it, dx/du = 0 would hold it there for ever."""
+
+NEAR = {4: 3e-4, 8: 5e-7}
+"""What counts as on the bound, as a share of the box, by the bytes of a float: where fits to a bound come to rest."""
 
 
 class Box(NamedTuple):
@@ -85,9 +88,12 @@ def to_bounded(u: Real, box: Box) -> Real:
 
 
 def to_free(x: Real, box: Box) -> Real:
-    """The free number of a parameter that lies in its box."""
+    """The free number of a parameter that lies in its box; NaN for one outside, which no number stands for."""
     if not box.bounded:
         return x
+    # A bound that a float32 cannot hold is still met by the float32 nearest to it.
+    low, high = (jnp.asarray(end, x.dtype) for end in (box.low, box.high))
+    x = jnp.where((x < low) | (x > high), jnp.nan, x)
     margin = INSIDE * box.size
     x = jnp.clip(x, box.low + margin, box.high - margin)
     if box.bounded == 2:
@@ -98,5 +104,5 @@ def to_free(x: Real, box: Box) -> Real:
 
 def on_bound(x: Real, box: Box) -> Bool[Array, "..."]:
     """Where a parameter has ended on a bound: nearer than an optimum inside could be told from one on it."""
-    near = box.size * float(jnp.finfo(x.dtype).eps) ** 0.4
+    near = box.size * NEAR[x.dtype.itemsize]
     return (x - box.low <= near) | (box.high - x <= near)

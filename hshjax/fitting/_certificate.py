@@ -20,8 +20,14 @@ TOLERANCE = 1e-6
 PAIRS = 300_000
 """Upper limit of the pairs that are looked at."""
 
-DESCENTS = 64
-"""Lowest pairs a channel from which a minimum is sought between the nodes as well."""
+DESCENTS = 128
+"""Cells a channel from whose lowest point a minimum is sought between the nodes as well."""
+
+CELLS = {1: 64, 2: 16, 3: 8, 4: 5}
+"""Cells along every axis, by the number of axes."""
+
+STRIDE, STEPS = 0.1, 14
+"""First size [radians] and number of the quadratics by which they descend."""
 
 
 class Certificate(eqx.Module):
@@ -132,13 +138,25 @@ def _lowest(family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: f
     figure, lowest, points = [], [], []
     at_points = look(x)
     for c in range(coefficients.shape[1]):
-        start = x[np.unique(np.argsort(at_points[:, :, c], axis=0)[:DESCENTS])]
-        between = follow(family, coefficients[:, c], 0.0, start, np.full(x.shape[1], 0.02), steps=4).x
+        # Neither figure's lowest points alone: those may crowd in one valley, while another one is deeper.
+        start = np.unique(np.concatenate([_lowest_of_cells(family, x, at_points[:, k, c]) for k in (0, 1)]), axis=0)
+        between = follow(family, coefficients[:, c], 0.0, start, np.full(x.shape[1], STRIDE), STEPS).x
         seen = np.concatenate([at_points[:, :, c], look(between)[:, :, c]])
         figure.append(np.min(seen[:, 0]))
         lowest.append(np.min(seen[:, 1]))
         points.append(between)
     return Lowest(np.array(figure), np.array(lowest), points)
+
+
+def _lowest_of_cells(family: Family, x: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The lowest point of every cell of the box, those of the lowest cells."""
+    lower, upper = family.box
+    cells = CELLS[x.shape[1]]
+    cell = np.clip((x - lower) / (upper - lower) * cells, 0, cells - 1).astype(int)
+    number = cell @ cells ** np.arange(x.shape[1])
+    order = np.argsort(values, kind="stable")
+    _, first = np.unique(number[order], return_index=True)
+    return x[order[np.sort(first)[:DESCENTS]]]
 
 
 def _polar(count: int, edge: float) -> np.ndarray:

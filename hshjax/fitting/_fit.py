@@ -46,10 +46,11 @@ def fit(
       `lambda scene: (scene.brdf.slope, scene.lights)`, or a pytree of booleans. The rest is held.
     - `max_steps`: limit of steps, at least 1.
     - `throw`: raise where the fit did not converge; otherwise `result` says how it ended.
-    - `on_step`: called from the running fit as `on_step(step, loss)`, for a display. Not under vmap.
+    - `on_step`: called from the running fit as `on_step(step, loss)`, for a display. Not under vmap. A part of the
+      compiled program: use one function again and again, for another one compiles anew.
 
     Fields declared by `bounded` stay in their box: by a smooth transformation, or by the solver that keeps boxes. A
-    start on a bound is moved inside by 1e-3 of the box: on it the transformation has no slope.
+    start within 1e-5 of the box from a bound is moved inside to there: on it the transformation has no slope.
 
     Runs under jit and vmap (there `throw=False`, lest one bad start end all). The fitted model is differentiable in
     what is held (data, weights, parts that are not trainable) by the implicit function theorem at the optimum, not in
@@ -125,8 +126,8 @@ def _run(
 
     def losses(y):
         found = {name: half_square(residual) for name, residual in residuals(y, (held, smooth)).items()}
-        size = sum(jnp.sum(jnp.abs(u)) for u in y)
-        return found | {name: weight * size for name, weight in sparse.items()}
+        size = jnp.stack([jnp.sum(jnp.abs(u)) for u in y]).sum()
+        return found | {name: weight.astype(size.dtype) * size for name, weight in sparse.items()}
 
     def visit(step, loss):
         if on_step is not None:

@@ -23,7 +23,10 @@ class Jaxopt(eqx.Module):
     - `LBFGSB`, `ProjectedGradient`, `ProximalGradient` move the parameters themselves, and keep the boxes that their
       fields declare. `ProximalGradient` also takes `Sparsity`.
 
-    A solver has converged when its own measure of error is at most its `tol` (1e-3 unless given).
+    A solver has converged when its own measure of error is at most its `tol` (1e-3 unless given). `max_steps` of `fit`
+    limits its steps.
+
+    **Raises:** ValueError for `maxiter`.
 
     jaxopt 0.8.5 is the last release of a library that is no longer developed; hshjax pins it.
     """
@@ -32,6 +35,8 @@ class Jaxopt(eqx.Module):
     options: tuple[tuple[str, Any], ...] = eqx.field(static=True)
 
     def __init__(self, make: Callable[..., Any], **options: Any):
+        if "maxiter" in options:
+            raise ValueError("the limit of steps is an argument of `fit`: max_steps, not maxiter")
         self.make = make
         self.options = tuple(sorted(options.items()))
 
@@ -62,10 +67,11 @@ class Jaxopt(eqx.Module):
         from jaxopt import implicit_diff
 
         first, unravel = ravel_pytree(start)
+        arrays, rest = eqx.partition(args, eqx.is_array)  # custom_root takes arrays only
         lower, upper = (ravel_pytree(side)[0] for side in box)
 
         def flat_residuals(y, *args):
-            return ravel_pytree(residuals(unravel(y), args[-1]))[0]
+            return ravel_pytree(residuals(unravel(y), eqx.combine(args[-1], rest)))[0]
 
         def loss(y, *args):
             return jnp.sum(flat_residuals(y, *args) ** 2) / 2
@@ -104,7 +110,7 @@ class Jaxopt(eqx.Module):
 
         rule = implicit_diff.custom_root(solver.optimality_fun, has_aux=True, solve=solver.implicit_diff_solve)
         with jax.numpy_dtype_promotion("standard"):  # LevenbergMarquardt mixes dtypes
-            y, (converged, curve, steps) = rule(run)(first, *hyper, args)
+            y, (converged, curve, steps) = rule(run)(first, *hyper, arrays)
         return unravel(y), steps, Outcome.where(converged, Outcome.converged, Outcome.step_limit), curve
 
 

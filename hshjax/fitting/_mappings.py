@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, Real
+from hshjax.brdfs._base import floating
 
 
 class AbstractMapping(eqx.Module):
@@ -49,21 +50,23 @@ class LogRelative(AbstractMapping):
     2015, the log-relative mapping with ε = 0.001.
     """
 
-    epsilon: float = 1e-3
+    epsilon: Float[Array, ""] = eqx.field(converter=floating, default=1e-3)
 
     def __call__(self, rho, wi, wo):
-        shaded = rho * jnp.maximum(_cosines(wi, wo), self.epsilon)
-        return _odd(jnp.log1p, shaded / self.epsilon)
+        epsilon = self.epsilon.astype(rho.dtype)
+        return _odd(jnp.log1p, rho * jnp.maximum(_cosines(wi, wo), epsilon) / epsilon)
 
 
 class CubeRoot(AbstractMapping):
     """(ρ z_i z_o + ε)^(1/3) - ε^(1/3): as the eye weighs light and dark; ε keeps the slope finite at black."""
 
-    epsilon: float = 1e-3
+    epsilon: Float[Array, ""] = eqx.field(converter=floating, default=1e-3)
 
     def __call__(self, rho, wi, wo):
+        epsilon = self.epsilon.astype(rho.dtype)
+
         def root(x):
-            return jnp.cbrt(x + self.epsilon) - self.epsilon ** (1 / 3)
+            return jnp.cbrt(x + epsilon) - jnp.cbrt(epsilon)
 
         return _odd(root, rho * _cosines(wi, wo))
 

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import optimistix as optx
 
 from hshjax._typing import Array
@@ -31,7 +32,11 @@ def solve_optimistix(
 
     kind = _RecordedMinimiser if isinstance(solver, optx.AbstractMinimiser) else _RecordedLeastSquares
     recorded = kind(solver.rtol, solver.atol, solver.norm, solver, max_steps, visit)
-    found = optx.least_squares(with_loss, recorded, start, args, has_aux=True, max_steps=max_steps, throw=False)
+    # A parameter without effect makes the Hessian singular: its derivative is 0, by the pseudoinverse.
+    adjoint = optx.ImplicitAdjoint(linear_solver=lx.AutoLinearSolver(well_posed=False))
+    found = optx.least_squares(
+        with_loss, recorded, start, args, has_aux=True, max_steps=max_steps, throw=False, adjoint=adjoint
+    )
     outcome = Outcome.stalled
     for theirs, ours in (
         (optx.RESULTS.successful, Outcome.converged),

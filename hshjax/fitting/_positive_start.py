@@ -35,6 +35,7 @@ def positive_start(
     used = (samples.weight > 0)[:, None]
     value = jnp.where(used, samples.value, 0)
     mean = jnp.sum(jnp.maximum(value, 0)) / (jnp.sum(used) * samples.channels).astype(value.dtype)
+    mean = jnp.where(mean > 0, mean, 1)  # of black samples: something finite, from where a fit goes down
     series = kind.inverse_link(jnp.maximum(value, FLOOR * mean))
     _, slope = jax.jvp(kind.link, (series,), (jnp.ones_like(series),))
     importance = samples.weight * jnp.mean((samples.wi[:, 2:] * samples.wo[:, 2:] * slope) ** 2, axis=1)

@@ -30,7 +30,7 @@ from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._result import Fit
-from hshjax.fitting._valid import Problem, constrained
+from hshjax.fitting._valid import constrained
 from hshjax.geometry import common_dtype
 from hshjax.metrics import ReciprocityError, reciprocity_error
 from hshjax.quadrature import PairRule
@@ -75,7 +75,7 @@ def project(
     - `constraints`: any of "non_negative" (ρ >= 0) and "energy" (directional albedo <= 1): the best fit among those
       that are physically valid, with a `certificate` of it (see `Certificate`). Found on the host in float64, by
       exchange of at most `rounds` rounds, all channels on one set of directions; where they do not suffice, the fit
-      comes with `result` `Outcome.uncertified`. Differentiable, but not inside `jax.jit` or `jax.vmap`. Both
+      comes with `result` `Outcome.uncertified`. Not under `jax.jit`, `jax.vmap` or `jax.grad`. Both
       constraints together force a series for sqrt(z_i z_o) ρ or z_i z_o ρ to vanish at the horizon, where its albedo
       would be infinite otherwise. The price is what `relative` gains over a fit without constraints.
 
@@ -84,7 +84,7 @@ def project(
     **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
     for weights that are negative or all zero; for isotropic samples and a basis that is not; for fewer samples than
     unknowns, or samples that do not determine the unknowns, without a ridge; for constraints that are unknown, inside
-    `jax.jit` or `jax.vmap`, or beyond anything in the span of the basis. Inside `jax.jit` values cannot be seen:
+    a transformation of jax, or beyond anything in the span of the basis. Inside `jax.jit` values cannot be seen:
     there an undetermined fit returns coefficients that are not finite, samples with a `degree` are taken for the whole
     rule, and reciprocity is not measured.
     """
@@ -107,13 +107,13 @@ def project(
     if inner:
         coefficients = _inner_products(basis, chosen, samples)
         condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
-        diagonal, root = jnp.ones(unknowns, coefficients.dtype), None
+        diagonal = jnp.ones(unknowns, coefficients.dtype)
         if gamma is not None:  # BᵀWB is the identity: the penalty shrinks every coefficient by itself
             diagonal = diagonal + gamma.astype(coefficients.dtype)
             coefficients = coefficients / diagonal[:, None]
             condition = jnp.sqrt(jnp.max(diagonal) / jnp.min(diagonal))
+        root = jnp.diag(jnp.sqrt(diagonal)) if constraints else None
     else:
-        diagonal = None
         with suited_threads(unknowns + samples.channels):
             coefficients, condition, factor, root = _least_squares(basis, chosen, samples, gamma)
             if visible:
@@ -127,12 +127,8 @@ def project(
 
     certificate, result = None, Outcome.converged
     if constraints:
-        if diagonal is not None:
-            gradient, parameters, root = _inner_gradient, (coefficients, diagonal), jnp.diag(jnp.sqrt(diagonal))
-        else:
-            gradient, parameters = partial(_residual_of, basis, chosen), (samples, gamma)
-        problem = Problem(basis, chosen.target, tuple(constraints), rounds, gradient)
-        coefficients, _, certificate = constrained(problem, parameters, coefficients, root)
+        assert root is not None  # of both branches above
+        coefficients, certificate = constrained(basis, chosen.target, tuple(constraints), rounds, coefficients, root)
         result = Outcome.converged if certificate.holds else Outcome.uncertified
 
     model = LinearBRDF(basis, coefficients, chosen.target)
@@ -241,17 +237,6 @@ def _normal_residual(
 
     sums = fold(samples, _block_size(basis.count), jnp.zeros_like(coefficients), visit)
     return sums if gamma is None else sums - gamma.astype(sums.dtype)[:, None] * coefficients
-
-
-def _residual_of(basis: AbstractPairBasis, norm: Norm, parameters: tuple[Samples, Array | None], coefficients: Array):
-    """The normal residual as a function of all that it depends on."""
-    return _normal_residual(basis, norm, *parameters, coefficients)
-
-
-def _inner_gradient(parameters: tuple[Array, Array], coefficients: Array) -> Float[Array, "modes channels"]:
-    """The same where BᵀWB is the identity: (1 + Γ)(inner products / (1 + Γ) - c)."""
-    start, diagonal = parameters
-    return diagonal[:, None] * (start - coefficients)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -5,13 +5,14 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
-from hshjax._typing import Real
+from hshjax._typing import Array, Float, Real
+from hshjax.brdfs._base import floating
 
 
 class AbstractRobustLoss(eqx.Module):
     """A loss that grows more slowly than r² beyond `scale`, as the residual whose square it is."""
 
-    scale: eqx.AbstractVar[float]
+    scale: eqx.AbstractVar[Array]
 
     @abc.abstractmethod
     def __call__(self, residual: Real) -> Real:
@@ -21,22 +22,23 @@ class AbstractRobustLoss(eqx.Module):
 class Huber(AbstractRobustLoss):
     """½ r² up to |r| = scale, linear beyond."""
 
-    scale: float
+    scale: Float[Array, ""] = eqx.field(converter=floating)
 
     def __call__(self, residual):
-        beyond = jnp.abs(residual) > self.scale
-        size = jnp.where(beyond, jnp.abs(residual), self.scale)
-        linear = jnp.sign(residual) * jnp.sqrt(self.scale * (2 * size - self.scale))
+        scale = self.scale.astype(residual.dtype)
+        beyond = jnp.abs(residual) > scale
+        size = jnp.where(beyond, jnp.abs(residual), scale)
+        linear = jnp.sign(residual) * jnp.sqrt(scale * (2 * size - scale))
         return jnp.where(beyond, linear, residual)
 
 
 class Cauchy(AbstractRobustLoss):
     """½ scale² log(1 + (r / scale)²)."""
 
-    scale: float
+    scale: Float[Array, ""] = eqx.field(converter=floating)
 
     def __call__(self, residual):
-        x = (residual / self.scale) ** 2
+        x = (residual / self.scale.astype(residual.dtype)) ** 2
         some = x > 1e-4 if residual.dtype == jnp.float64 else x > 1e-2
         safe = jnp.where(some, x, 1)
         # sqrt(log1p(x) / x) by its series where the quotient would lose its derivatives.
@@ -47,7 +49,7 @@ class Cauchy(AbstractRobustLoss):
 class GemanMcClure(AbstractRobustLoss):
     """½ r² / (1 + (r / scale)²): bounded, so that a gross outlier has no pull at all."""
 
-    scale: float
+    scale: Float[Array, ""] = eqx.field(converter=floating)
 
     def __call__(self, residual):
-        return residual / jnp.sqrt(1 + (residual / self.scale) ** 2)
+        return residual / jnp.sqrt(1 + (residual / self.scale.astype(residual.dtype)) ** 2)

@@ -145,9 +145,10 @@ def _descend(values: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray]:
 def follow(
     family: Family, coefficients: np.ndarray, rounding: float, x: np.ndarray, spacing: np.ndarray, steps: int
 ) -> Minima:
-    """Descend from every point to a minimum nearby, by quadratics on stencils that shrink from `spacing`.
+    """Descend from every point to a minimum nearby, by quadratics on stencils of size `spacing` `(d,)`.
 
-    `coefficients` `(modes,)`, `rounding`: of one channel.
+    A stencil shrinks where its minimum lies within, and goes on at its size where it does not. `coefficients`
+    `(modes,)`, `rounding`: of one channel.
     """
     shifts, d = stencil(x.shape[1]), x.shape[1]
     lower, upper = family.box
@@ -160,10 +161,11 @@ def follow(
         return in_chunks(gap, points)
 
     best = gaps(x)
+    spacing = np.broadcast_to(spacing, x.shape)
     for _ in range(steps):
         # The stencil keeps to the box: beyond the horizon there is nothing to see.
         centre = np.where(family.periodic, x, np.clip(x, lower + spacing, upper - spacing))
-        points = _into(family, (centre[:, None] + shifts * spacing).reshape(-1, d))
+        points = _into(family, (centre[:, None] + shifts * spacing[:, None]).reshape(-1, d))
         values = gaps(points).reshape(len(x), len(shifts))
         step, _ = _descend(values, d)
         target = _into(family, centre + step * spacing)
@@ -173,7 +175,8 @@ def follow(
         winner = np.argmin(choices, axis=0)
         x = np.where((winner == 0)[:, None], target, np.where((winner == 1)[:, None], corner, x))
         best = np.min(choices, axis=0)
-        spacing = spacing / 6
+        inside = (np.max(np.abs(step), axis=1) < 0.99) | (winner == 2)
+        spacing = np.where(inside[:, None], spacing / 6, spacing)
     return Minima(x, best)
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float
-from hshjax.fitting._fit import chosen, fit
+from hshjax.fitting._fit import chosen, default_tolerance, fit
 from hshjax.fitting._jaxopt import Jaxopt
 from hshjax.fitting._optimistix import half_square
 from hshjax.fitting._result import IterativeFit, Model
@@ -37,6 +37,7 @@ def sparsity_path(
 
     **Raises:** ValueError for weights that are not decreasing and >= 0, and what `fit` raises.
     """
+    weights = [float(weight) for weight in weights]
     if not weights or any(a < b for a, b in pairwise(weights)) or weights[-1] < 0:
         raise ValueError(
             f"weights must be decreasing and >= 0, so that each fit starts near its optimum, got {weights}"
@@ -44,11 +45,10 @@ def sparsity_path(
     if solver is None:
         import jaxopt
 
-        double = all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array)))
-        solver = Jaxopt(jaxopt.ProximalGradient, tol=1e-8 if double else 1e-4)
+        solver = Jaxopt(jaxopt.ProximalGradient, tol=default_tolerance(eqx.filter(model, chosen(model, trainable))))
     path = []
     for weight in weights:
-        terms = {**objective, NAME: float(weight) * Sparsity()}
+        terms = {**objective, NAME: weight * Sparsity()}
         path.append(fit(model, terms, solver, trainable=trainable, max_steps=max_steps, throw=throw))
         model = path[-1].model
     return path
@@ -65,7 +65,7 @@ def largest_sparsity_weight(
 
     def loss(free):
         whole = eqx.combine(free, held)
-        return sum((half_square(term(whole)) for term in objective.values()), start=jnp.zeros(()))
+        return sum((half_square(term(whole)) for term in objective.values()), start=0.0)
 
     gradient = jax.grad(loss)(jax.tree.map(jnp.zeros_like, free))
     return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(gradient)]))

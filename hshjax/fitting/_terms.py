@@ -160,11 +160,11 @@ class Prior(AbstractTerm):
     """
 
     model: Any
-    scale: float = 1.0
+    scale: Float[Array, ""] = eqx.field(converter=floating, default=1.0)
 
     def __call__(self, model):
         return jax.tree.map(
-            lambda mean, leaf: None if mean is None else (leaf - mean) / self.scale,
+            lambda mean, leaf: None if mean is None else (leaf - mean) / self.scale.astype(leaf.dtype),
             eqx.filter(self.model, eqx.is_inexact_array),
             eqx.filter(model, eqx.is_inexact_array),
             is_leaf=lambda x: x is None,
@@ -185,5 +185,5 @@ def l1_weight(term: AbstractTerm) -> Array | None:
     """The weight of a `Sparsity` term, None for any other."""
     if isinstance(term, Weighted):
         inner = l1_weight(term.term)
-        return None if inner is None else term.weight * inner
-    return jnp.ones(()) if isinstance(term, Sparsity) else None
+        return None if inner is None else term.weight * inner.astype(term.weight.dtype)
+    return jnp.asarray(1.0) if isinstance(term, Sparsity) else None

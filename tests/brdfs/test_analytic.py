@@ -185,7 +185,9 @@ def test_first_derivatives_against_finite_differences(brdf):
 DEGENERATE = [name for name in ALL_BRDFS if not name.endswith("rgb") and name.removeprefix("ggx_") not in FRESNELS]
 
 
-@pytest.mark.parametrize("name", [*DEGENERATE, *SHARP_BRDFS])
+@pytest.mark.parametrize(
+    "name", mostly_slow([*DEGENERATE, *SHARP_BRDFS], ["oren_nayar_full", "cook_torrance", "ggx", "ward"])
+)
 def test_second_derivatives_are_finite_at_degenerate_pairs(name):
     brdf = (ALL_BRDFS | SHARP_BRDFS)[name]
     parameters, static = eqx.partition(brdf, eqx.is_inexact_array)
@@ -357,7 +359,9 @@ def test_height_correlation_shadows_less():
 COSINES = np.linspace(0, 1, 41)
 
 
-@each_fresnel
+@pytest.mark.parametrize(
+    "fresnel", [slow_unless(n in ("schlick_rgb", "dielectric"), f, id=n) for n, f in FRESNELS.items()]
+)
 def test_fresnel_range_shapes_and_finite_derivatives(fresnel):
     cosine = jnp.asarray(COSINES, DTYPE).at[0].set(1e-6)
     value = fresnel(cosine)

@@ -43,6 +43,7 @@ def test_other_refusals():
         project_all(BASIS, MATERIALS, reciprocity=True)
 
 
+@pytest.mark.slow
 def test_constraints_are_certified_for_each():
     bright = Samples.scattered(WI, WO, 1.4 * Lambert(1.0)(WI, WO))
     settings = {"norm": "C", "ridge": 1e-6, "prior": "spectral", "constraints": ("non_negative", "energy")}

@@ -1,4 +1,4 @@
-"""Physically valid fits: against closed forms, independent solvers and finite differences."""
+"""Physically valid fits: against closed forms and independent solvers."""
 
 import jax
 import jax.numpy as jnp
@@ -7,15 +7,15 @@ import pytest
 from scipy.optimize import minimize
 
 from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike
-from hshjax.brdfs import CookTorrance, Lambert
-from hshjax.fitting import Outcome, project
+from hshjax.brdfs import GGX, CookTorrance, Lambert, Ward
+from hshjax.fitting import NORMS, Outcome, project
 from hshjax.fitting._least_distance import InfeasibleError, least_distance
 from hshjax.geometry import direction
 from hshjax.io import read_rgl
 from hshjax.metrics import albedo, negativity
 from hshjax.quadrature import isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
-from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions, slow_unless
+from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions, mostly_slow, slow_unless
 
 BASIS = IsotropicBasis(HSH(3))
 """One basis nearly throughout: what is compiled for its inequalities serves every norm with the same target."""
@@ -96,7 +96,7 @@ def test_a_lambertian_surface_brighter_than_white_becomes_white():
     assert fit.result == Outcome.converged
 
 
-@pytest.mark.parametrize("norm", ["A", "B", "C", "D", "E"])
+@pytest.mark.parametrize("norm", mostly_slow(NORMS, ["A", "D"]))
 def test_a_negative_surface_becomes_black(norm):
     samples = samples_of(Lambert(jnp.asarray([0.2])), factor=-1.0)
     fit = project(BASIS, samples, norm=norm, constraints=("non_negative",), reciprocity=False)
@@ -106,7 +106,7 @@ def test_a_negative_surface_becomes_black(norm):
     assert fit.certificate.smallest >= -MISSED
 
 
-@pytest.mark.parametrize("norm", ["A", "C", "D"])
+@pytest.mark.parametrize("norm", mostly_slow(["A", "C", "D"], ["A"]))
 def test_constraints_that_hold_anyway_change_nothing(norm):
     basis, samples = BASIS, samples_of(Lambert(jnp.asarray([0.3, 0.8])))
     free = project(basis, samples, norm=norm, reciprocity=False)
@@ -142,8 +142,14 @@ def assert_valid(fit, constraints):
         assert np.all(albedo(fit.model, outgoing) <= 1 + 1e-3)
 
 
-@pytest.mark.parametrize("norm", ["A", "B", "C", "D", "E"])
-@pytest.mark.parametrize("constraints", [("non_negative",), ("energy",), BOTH], ids=str)
+@pytest.mark.parametrize(
+    ("constraints", "norm"),
+    [
+        slow_unless((c, norm) in ((BOTH, "A"), (BOTH, "D"), (("energy",), "B")), c, norm)
+        for c in (("non_negative",), ("energy",), BOTH)
+        for norm in NORMS
+    ],
+)
 def test_a_lobe_that_rings_is_certified(constraints, norm):
     """Bright enough to reflect more than comes in, so that either constraint has something to do."""
     samples = samples_of(lobe(0.3), 16, factor=12.0)
@@ -203,7 +209,7 @@ def test_the_optimum_of_a_discretised_problem():
 
 
 @pytest.mark.skipif(not X64, reason="the material is fitted in float64")
-@pytest.mark.parametrize("norm", ["D", slow_unless(False, "A")])
+@pytest.mark.parametrize("norm", [slow_unless(False, norm) for norm in "AD"])
 def test_a_measured_material(norm, data):
     samples = read_rgl(data / "rgl" / "paper_white_rgb.bsdf").samples(isotropic_pair_rule(32))
     free = project(BASIS, samples, norm=norm, reciprocity=False)
@@ -216,40 +222,6 @@ def test_a_measured_material(norm, data):
 # --- derivatives, refusals --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not X64, reason="differences need float64")
-def test_a_white_surface_stays_white_when_the_data_grow():
-    """All of the change is along the active inequalities' normals; without them it would be the fit itself."""
-    samples = samples_of(Lambert(jnp.asarray([1.4])))
-
-    def coefficients(factor):
-        scaled = Samples(samples.wi, samples.wo, factor * samples.value, samples.weight, None, True)
-        return project(BASIS, scaled, norm="A", constraints=("energy",), reciprocity=False).model.coefficients
-
-    value, slope = jax.jvp(coefficients, (jnp.asarray(1.0),), (jnp.asarray(1.0),))
-    assert np.linalg.norm(value) > 1
-    assert_close(slope, np.zeros_like(value), tolerance=1e-5)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not X64, reason="differences need float64")
-def test_derivative_where_points_move_with_the_data():
-    samples = samples_of(lobe(0.3))
-    change = samples.value * jnp.asarray(np.random.default_rng(0).normal(size=samples.value.shape), DTYPE)
-
-    def coefficients(t):
-        moved = Samples(
-            samples.wi, samples.wo, samples.value + t * change, samples.weight, samples.degree, samples.isotropic
-        )
-        fit = project(BASIS, moved, norm="D", constraints=("non_negative",), reciprocity=False, rounds=30)
-        return fit.model.coefficients
-
-    _, slope = jax.jvp(coefficients, (jnp.asarray(0.0),), (jnp.asarray(1.0),))
-    step = 0.03
-    quotient = (coefficients(step) - coefficients(-step)) / (2 * step)
-    # An optimum is known to its margin only, some 1e-3 of the step's effect; 2 % were seen.
-    assert np.linalg.norm(quotient - slope) < 0.05 * np.linalg.norm(slope)
-
-
 SMALL = IsotropicBasis(HSH(1))
 
 
@@ -259,11 +231,11 @@ def small_fit(value, **settings):
     return project(SMALL, samples, constraints=("non_negative",), reciprocity=False, **settings)
 
 
-@pytest.mark.parametrize("transform", [jax.jit, jax.vmap], ids=["jit", "vmap"])
+@pytest.mark.parametrize("transform", [jax.jit, jax.vmap, jax.jacfwd], ids=["jit", "vmap", "jacfwd"])
 def test_values_must_be_seen(transform):
     value = jnp.ones((2, isotropic_pair_rule(4).weight.size, 1), DTYPE)
-    with pytest.raises(ValueError, match=r"jax\.jit and jax\.vmap hide"):
-        transform(lambda v: small_fit(v).model.coefficients)(value[0] if transform is jax.jit else value)
+    with pytest.raises(ValueError, match=r"jax\.jit, jax\.vmap and jax\.grad hide"):
+        transform(lambda v: small_fit(v).model.coefficients)(value if transform is jax.vmap else value[0])
 
 
 @pytest.mark.parametrize("constraints", [("energy", "positive"), "energy"], ids=str)
@@ -289,3 +261,38 @@ def test_rounds_that_do_not_suffice():
     assert fit.result == Outcome.uncertified
     assert not fit.certificate.holds
     assert fit.certificate.smallest < -MISSED
+
+
+def deepest(brdf, channel, seed=0, starts=60):
+    """The smallest value above the last tenth of a degree, by a minimiser that the library does not use."""
+
+    def value(angles):
+        theta, phi = jnp.minimum(jnp.abs(angles[:2]), 1.569), angles[2:]
+        return brdf(direction(theta[0], phi[0]), direction(theta[1], phi[1]))[channel]
+
+    both = jax.jit(jax.value_and_grad(value))
+    rng = np.random.default_rng(seed)
+    found = []
+    for start in rng.uniform([0, 0, -np.pi, -np.pi], [1.569, 1.569, np.pi, np.pi], (starts, 4)):
+        bounds = [(0, 1.569)] * 2 + [(-10, 10)] * 2
+        found.append(minimize(lambda x: tuple(map(np.asarray, both(x))), start, jac=True, bounds=bounds).fun)
+    return min(found)
+
+
+@pytest.mark.skipif(not X64, reason="a certificate in float32 allows for the rounding of coefficients")
+@pytest.mark.parametrize(
+    ("basis", "norm"),
+    [
+        (IsotropicBasis(Zernike(4)), "A"),
+        slow_unless(False, HelmholtzBasis(HSH(2)), "A"),
+        slow_unless(False, HelmholtzBasis(HSH(2)), "D"),
+    ],
+    ids=str,
+)
+def test_no_other_minimiser_finds_what_the_certificate_missed(basis, norm):
+    narrow = Lambert(0.02) + (GGX(0.9, 0.15) if isinstance(basis, IsotropicBasis) else Ward(0.5, 0.2, 0.6))
+    rule = isotropic_pair_rule(24) if isinstance(basis, IsotropicBasis) else pair_rule(8)
+    data = Samples.from_function(narrow, rule)
+    fit = project(basis, data, norm=norm, constraints=("non_negative",), reciprocity=False)
+    assert fit.result == Outcome.converged
+    assert deepest(fit.model, 0) >= -MISSED

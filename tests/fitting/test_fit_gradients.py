@@ -110,7 +110,7 @@ TERMS = {
 }
 
 
-@pytest.mark.parametrize("name", [slow_unless(name in ("log", "cauchy"), name) for name in MISFITS])
+@pytest.mark.parametrize("name", [slow_unless(name == "log", name) for name in MISFITS])
 def test_misfits(name):
     def fitted(t):
         value = 0.5 + 0.2 * NOISE * (1 + t) + t * WI[:, 2:]
@@ -124,7 +124,7 @@ def test_misfits(name):
     check(fitted)
 
 
-@pytest.mark.parametrize("name", [slow_unless(name in ("reciprocity", "non_negativity"), name) for name in TERMS])
+@pytest.mark.parametrize("name", [slow_unless(name == "non_negativity", name) for name in TERMS])
 def test_terms(name):
     def fitted(t):
         samples = Samples.scattered(WI, WO, NOISE * (1 + t) + t * WI[:, 2:] + 0.4)
@@ -156,7 +156,7 @@ MODELS = {
 }
 
 
-@pytest.mark.parametrize("name", [slow_unless(name in ("cook_torrance", "exp"), name) for name in MODELS])
+@pytest.mark.parametrize("name", [slow_unless(name == "cook_torrance", name) for name in MODELS])
 def test_models(name):
     """Data that no parameter meets, so that second derivatives of the model enter."""
     truth = MODELS[name]
@@ -170,7 +170,7 @@ def test_models(name):
     check(fitted)
 
 
-@pytest.mark.parametrize("ridge", [0.0, 0.1])
+@pytest.mark.parametrize("ridge", [slow_unless(False, 0.0), 0.1])
 def test_second_order_through_project(ridge):
     wi, wo, noise = WI[:40], WO[:40], NOISE[:40]
 
@@ -180,3 +180,16 @@ def test_second_order_through_project(ridge):
 
     with jax.debug_nans(True):
         check_grads(jax.jit(fitted), (0.3,), order=2, modes=("fwd", "rev"), eps=1e-4, atol=1e-5, rtol=1e-5)
+
+
+def test_a_parameter_without_effect_has_no_derivative():
+    """A lobe that the fit has put out: its slope does nothing, and the Hessian is singular there."""
+
+    def albedo(scale):
+        samples = Samples.scattered(WI, WO, scale * Lambert(0.3)(WI, WO))
+        found = fit(
+            CookTorrance(0.5, 0.0, 0.5), {"data": SampleMisfit(samples)}, trainable=lambda b: (b.diffuse, b.slope)
+        )
+        return found.model.diffuse
+
+    assert jax.grad(albedo)(1.0) == pytest.approx(0.3, abs=1e-6)  # the fit converges to 1e-8

@@ -35,7 +35,7 @@ each_norm = pytest.mark.parametrize("norm", NORMS)
 each_norm_and_basis = pytest.mark.parametrize(
     ("basis", "norm"),
     [
-        slow_unless(norm == "A" or name == "isotropic", basis, norm, id=f"{name}-{norm}")
+        slow_unless(name == "isotropic" or (name, norm) == ("tensor", "A"), basis, norm, id=f"{name}-{norm}")
         for name, basis in BASES.items()
         for norm in NORMS
     ],
@@ -225,7 +225,7 @@ def test_weights_count_repetitions():
     assert_close(weighted.relative[2], counted.relative[2], tolerance=max(TOLERANCE, 1e3 * EPS))
 
 
-@pytest.mark.parametrize("n", mostly_slow([4095, 4096, 4097, 8192, 10_000], [4096, 4097, 10_000]))
+@pytest.mark.parametrize("n", mostly_slow([4095, 4096, 4097, 8192, 10_000], [4097, 10_000]))
 def test_any_number_of_samples_around_the_block(n):
     basis = IsotropicBasis(HSH(1))
     samples = scattered(basis, "A", n)
