@@ -59,7 +59,11 @@ def fit(
         ),
     ] = "D",
     ridge: Annotated[
-        float, typer.Option(min=0.0, help="Weight of the spectral prior, which damps fine detail; 0 for none.")
+        float,
+        typer.Option(
+            min=0.0,
+            help="Weight of the spectral prior, which damps fine detail; 0 for none. exp: relative to the energy.",
+        ),
     ] = 1e-5,
     valid: Annotated[
         bool,
@@ -107,7 +111,7 @@ def fit(
         if model == "linear":
             fitted, facts = _linear(pairs, samples, norm, ridge, valid)
         elif model == "exp":
-            fitted, facts = _exponential(pairs, samples, max_steps)
+            fitted, facts = _exponential(pairs, samples, ridge, max_steps)
         else:
             fitted, facts = _parametric(model, samples, max_steps)
         save_model(out, fitted)
@@ -155,19 +159,20 @@ def _linear(pairs, samples, norm: str, ridge: float, valid: bool) -> tuple[Any, 
     return result.model, facts
 
 
-def _exponential(pairs, samples, max_steps: int) -> tuple[Any, dict[str, str]]:
+def _exponential(pairs, samples, ridge: float, max_steps: int) -> tuple[Any, dict[str, str]]:
     import equinox as eqx
     import jax.numpy as jnp
 
     from hshjax.brdfs import ExpBRDF
-    from hshjax.fitting import CosineWeighted, SampleMisfit, fit as fit_model, positive_start
+    from hshjax.fitting import CosineWeighted, SampleMisfit, Smoothness, fit as fit_model, positive_start
 
     found = []
     with _display(max_steps) as channel:
         for k in range(samples.channels):  # channels do not touch: each is a fit of its own
             one = eqx.tree_at(lambda s: s.value, samples, samples.value[:, k : k + 1])
             start = positive_start(ExpBRDF, pairs, one)
-            objective = {"data": SampleMisfit(one, CosineWeighted())}
+            energy = jnp.sum(one.weight * (one.wi[:, 2] * one.wo[:, 2] * one.value[:, 0]) ** 2)
+            objective = {"data": SampleMisfit(one, CosineWeighted()), "smooth": ridge * energy * Smoothness()}
             on_step = channel(f"channel {k + 1} of {samples.channels}")
             found.append(fit_model(start, objective, max_steps=max_steps, throw=False, on_step=on_step))
     model = ExpBRDF(pairs, jnp.concatenate([one.model.coefficients for one in found], axis=1))

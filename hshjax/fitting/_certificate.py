@@ -20,10 +20,10 @@ TOLERANCE = 1e-6
 PAIRS = 300_000
 """Upper limit of the pairs that are looked at."""
 
-DESCENTS = 128
+DESCENTS = 1024
 """Cells a channel from whose lowest point a minimum is sought between the nodes as well."""
 
-CELLS = {1: 64, 2: 16, 3: 8, 4: 5}
+CELLS = {1: 64, 2: 24, 3: 16, 4: 6}
 """Cells along every axis, by the number of axes."""
 
 STRIDE, STEPS = 0.1, 14

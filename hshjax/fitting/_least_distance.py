@@ -28,7 +28,7 @@ def least_distance(root: np.ndarray, start: np.ndarray, rows: np.ndarray, bounds
 
     **Raises:** InfeasibleError where no c satisfies all inequalities.
     """
-    from scipy.linalg import lstsq, solve_triangular  # here, to keep `import hshjax` cheap
+    from scipy.linalg import solve_triangular  # here, to keep `import hshjax` cheap
     from scipy.optimize import nnls
 
     matrix = solve_triangular(root, rows.T, trans=1).T
@@ -53,6 +53,6 @@ def least_distance(root: np.ndarray, start: np.ndarray, rows: np.ndarray, bounds
     # The residual of the dual problem is small where the distance is large; the normal equations of the active rows
     # give the point without that loss.
     tight = matrix[active]
-    forces = lstsq(tight @ tight.T, missing[active])[0]
+    forces = np.linalg.lstsq(tight @ tight.T, missing[active], rcond=None)[0]
     multiplier[active] = np.maximum(forces, 0) / length[active]
     return Nearest(start + solve_triangular(root, tight.T @ forces), multiplier)

@@ -16,6 +16,9 @@ Positive = TypeVar("Positive", bound=AbstractPositiveBRDF)
 FLOOR = 1e-2
 """Darkest value that a link is asked to stand for, over the mean of the samples: log ρ has no bottom."""
 
+EVERYWHERE = 0.1
+"""Weight of all directions alike, over the weight by what they mean for ρ."""
+
 
 def positive_start(
     kind: type[Positive], basis: AbstractPairBasis, samples: Samples, *, ridge: float = 1e-6, squares: int = 1
@@ -23,7 +26,8 @@ def positive_start(
     """`ExpBRDF`, `SoftplusBRDF` or `SquaredBRDF` near the samples, in closed form.
 
     The series is the projection of link⁻¹(ρ) under the weight (z_i z_o dρ/ds)², s the series: to first order the
-    cosine-weighted least squares of ρ itself, averaged over the channels. Values below 1 % of the mean count as that.
+    cosine-weighted least squares of ρ itself, averaged over the channels; with a tenth of a flat weight, so that no
+    direction is left to itself. Values below 1 % of the mean count as that.
 
     - `samples`: see `project`. - `ridge`: of the spectral prior, for weights of mean 1.
     - `squares`: how many of a `SquaredBRDF`; those after the first start as small ripples, since at 0 none has a slope.
@@ -38,9 +42,11 @@ def positive_start(
     mean = jnp.where(mean > 0, mean, 1)  # of black samples: something finite, from where a fit goes down
     series = kind.inverse_link(jnp.maximum(value, FLOOR * mean))
     _, slope = jax.jvp(kind.link, (series,), (jnp.ones_like(series),))
-    importance = samples.weight * jnp.mean((samples.wi[:, 2:] * samples.wo[:, 2:] * slope) ** 2, axis=1)
-    importance = jnp.where(used[:, 0], importance, 0)
-    importance = importance / jnp.sum(importance) * jnp.sum(used).astype(value.dtype)
+    importance = jnp.mean((samples.wi[:, 2:] * samples.wo[:, 2:] * slope) ** 2, axis=1)
+    weight = jnp.where(used[:, 0], samples.weight, 0)
+    # Dark and grazing directions, which hardly count, still hold the series: a link makes much of what it does there.
+    importance = weight * (importance / jnp.sum(weight * importance) + EVERYWHERE / jnp.sum(weight))
+    importance = importance * jnp.sum(used).astype(value.dtype)
     linked = Samples(samples.wi, samples.wo, series, importance, None, samples.isotropic)
     found = project(basis, linked, norm="C", ridge=ridge, prior="spectral", reciprocity=False)
     coefficients = found.model.coefficients

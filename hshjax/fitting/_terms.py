@@ -16,6 +16,7 @@ from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.bases import TensorBasis
 from hshjax.brdfs._base import floating
 from hshjax.brdfs._linear import LinearBRDF
+from hshjax.brdfs._positive import AbstractPositiveBRDF
 from hshjax.fitting._mappings import AbstractMapping, Identity
 from hshjax.fitting._robust import AbstractRobustLoss
 from hshjax.quadrature import PairRule, Rule
@@ -146,11 +147,16 @@ class EnergyConservation(AbstractTerm):
 
 
 class Smoothness(AbstractTerm):
-    """(n(n+1) + p(p+1)) c of every coefficient of a `LinearBRDF`: the spectral prior of `project`, as a term."""
+    """(n(n+1) + p(p+1)) c of every coefficient of a series: the spectral prior of `project`, as a term.
 
-    def __call__(self, model: LinearBRDF):
-        orders = jnp.asarray(model.basis.degrees(), model.coefficients.dtype)
-        return jnp.sum(orders * (orders + 1), axis=1)[:, None] * model.coefficients
+    Its loss is half of what `ridge` with `prior="spectral"` adds to the squared error. Of an `ExpBRDF` it keeps the
+    logarithm smooth: without it nothing holds the exponential where samples weigh little, towards grazing.
+    """
+
+    def __call__(self, model: LinearBRDF | AbstractPositiveBRDF):
+        coefficients = model.coefficients
+        orders = jnp.asarray(model.basis.degrees(), coefficients.dtype)
+        return jnp.einsum("k,k...->k...", jnp.sum(orders * (orders + 1), axis=1), coefficients)
 
 
 class Prior(AbstractTerm):
