@@ -55,7 +55,10 @@ class Weighted(AbstractTerm):
 
 
 class Of(AbstractTerm):
-    """A term about a part of the model: `Of(lambda scene: scene.brdf, Reciprocity(rule))`."""
+    """A term about a part of the model: `Of(lambda scene: scene.brdf, Reciprocity(rule))`.
+
+    `part` belongs to the compiled program: use one function again and again, for another one compiles anew.
+    """
 
     part: Callable[[Any], Any] = eqx.field(static=True)
     term: AbstractTerm
@@ -97,7 +100,7 @@ class Reciprocity(AbstractTerm):
     """sqrt(w) (ρ(wi, wo) - ρ(wo, wi)) at the pairs of a rule; without one, A - Aᵀ of a series in a `TensorBasis`.
 
     By orthonormality both have the same square, for the function that the series stands for, over a rule that is exact
-    for the basis: ∫∫ (f(i, o) - f(o, i))² dω_i dω_o = ||A - Aᵀ||² (mathematics.md, section 3).
+    for the basis: ∫∫ (f(i, o) - f(o, i))² dω_i dω_o = ||A - Aᵀ||².
 
     **Raises:** ValueError without a rule for anything but a `LinearBRDF` over a `TensorBasis`.
     """

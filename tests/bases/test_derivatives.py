@@ -10,7 +10,7 @@ import pytest
 from hshjax.bases._base import BLOCK
 from tests.bases import oracles
 from tests.bases.cases import ALL_BASES, ALL_PAIRS, EVERY_BASIS, SOME_PAIRS
-from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
+from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions, mostly_slow
 
 ORDER = 5
 TINY = jnp.finfo(DTYPE)
@@ -137,7 +137,7 @@ def losses(basis):
     return fused, by_row
 
 
-@pytest.mark.parametrize("name", ALL_BASES)
+@pytest.mark.parametrize("name", mostly_slow(ALL_BASES, ["hsh"]))
 def test_gradients_of_evaluate_are_those_of_the_row(name):
     """With more points than a block; and second derivatives, mixed ones too, on a few points."""
     basis, w = EVERY_BASIS[name](3), directions(0, BLOCK + 300, min_z=0.01)
@@ -154,7 +154,7 @@ def test_gradients_of_evaluate_are_those_of_the_row(name):
         assert_close(a, b, tolerance=TOLERANCE if X64 else 1e-3)  # float32: second derivatives of size 100
 
 
-@pytest.mark.parametrize("name", SOME_PAIRS)
+@pytest.mark.parametrize("name", mostly_slow(SOME_PAIRS, ["helmholtz-zernike", "isotropic-hsh"]))
 def test_gradients_of_pair_evaluate_are_those_of_the_row(name):
     pairs, basis = ALL_PAIRS[name]
     pairs = pairs(basis(2))

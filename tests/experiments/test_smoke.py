@@ -28,6 +28,9 @@ def test_every_recipe_has_a_smoke_config():
     assert [name for name in recipes.available() if f'recipe = "{name}"' not in used] == []
 
 
+LONG = ("measured_fits", "reciprocity_filter", "recovery")
+"""Their smaller parts are tested by themselves."""
+
 ALL = sorted((ROOT / "configs").rglob("*.toml"))
 
 
@@ -58,7 +61,7 @@ def run(path, runs):
 
 
 @once_is_enough
-@pytest.mark.parametrize("path", [slow_unless(path.stem != "measured_fits", path, id=path.stem) for path in SMOKE])
+@pytest.mark.parametrize("path", [slow_unless(path.stem not in LONG, path, id=path.stem) for path in SMOKE])
 def test_smoke(path, tmp_path):
     assert run(path, tmp_path / "runs") != "{}"
 
