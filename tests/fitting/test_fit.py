@@ -66,9 +66,7 @@ SOLVERS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", mostly_slow(SOLVERS, ("GaussNewton", "LevenbergMarquardt", "BFGS", "optax", "jaxopt_LBFGS"))
-)
+@pytest.mark.parametrize("name", mostly_slow(SOLVERS, ("GaussNewton", "LevenbergMarquardt", "BFGS", "optax")))
 def test_every_solver_finds_the_closed_form(name):
     solver, tolerance = SOLVERS[name]
     exact = project(BASIS, SAMPLES, norm="C", ridge=RIDGE, reciprocity=False).model.coefficients
