@@ -11,8 +11,8 @@ UV := UV_COMPILE_BYTECODE=1 UV_PYTHON_DOWNLOADS=never UV_PYTHON=$(abspath $(PYTH
 PYTEST := $(PYTHON_IN_VENV) -m pytest
 # Compilation fills the suite's time, and compiles on one core: a worker a core.
 PARALLEL := -n auto --dist worksteal
-# Laws and oracles of what computes. The rest (derivatives, files, studies, fits, docs) runs there in `make test-slow`.
-FLOAT32 := tests/bases/test_laws.py tests/bases/test_oracles.py tests/bases/test_pairs.py tests/test_quadrature.py tests/test_geometry.py tests/test_samples.py tests/test_metrics.py
+# Laws of what computes (the oracles look at both precisions in the first run). The rest runs there in `make test-slow`.
+FLOAT32 := tests/bases/test_laws.py tests/test_quadrature.py tests/test_geometry.py tests/test_samples.py tests/test_metrics.py
 # Extra arguments of every pytest run: make test PYTEST_ARGS="-x -k basis"
 PYTEST_ARGS ?=
 # Interpreters of `make test-matrix`.

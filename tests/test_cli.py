@@ -59,6 +59,7 @@ def test_other_models_are_fitted_step_by_step(model, tmp_path, kind, what):
     assert isinstance(load_model(out), what)
 
 
+@pytest.mark.slow
 def test_a_valid_fit_shows_its_certificate(model, tmp_path):
     out = tmp_path / "valid.hshjax"
     fitted = run("fit", model, "--valid", "--norm", "A", "--order", 1, "--degree", 8, "--out", out)

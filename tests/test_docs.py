@@ -20,6 +20,9 @@ RUN = [
     ),
 ]
 
+LONG = ("fit_by_gradients", "fit_parameters")
+"""They compile whole fits, in a process of their own."""
+
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^()\s]+)\)")
 
@@ -56,7 +59,7 @@ def broken_links(page: Path) -> list[str]:
 
 
 @pytest.mark.skipif(os.environ.get("HSHJAX_TEST_DTYPE") == "float32", reason="pages run once, in a reader's defaults")
-@pytest.mark.parametrize("page", [slow_unless(page.stem != "fit_parameters", page, id=page.stem) for page in RUN])
+@pytest.mark.parametrize("page", [slow_unless(page.stem not in LONG, page, id=page.stem) for page in RUN])
 def test_python_of_a_page_runs(page, tmp_path):
     source = python_blocks(page)
     assert source.strip(), "a page without Python does not belong in this list"

@@ -28,7 +28,7 @@ def test_every_recipe_has_a_smoke_config():
     assert [name for name in recipes.available() if f'recipe = "{name}"' not in used] == []
 
 
-LONG = ("measured_fits", "reciprocity_filter", "recovery")
+LONG = ("material_fit", "measured_fits", "reciprocity_filter", "recovery")
 """Their smaller parts are tested by themselves."""
 
 ALL = sorted((ROOT / "configs").rglob("*.toml"))

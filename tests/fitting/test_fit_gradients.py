@@ -124,7 +124,7 @@ def test_misfits(name):
     check(fitted)
 
 
-@pytest.mark.parametrize("name", [slow_unless(name == "non_negativity", name) for name in TERMS])
+@pytest.mark.parametrize("name", [slow_unless(name == "smoothness", name) for name in TERMS])
 def test_terms(name):
     def fitted(t):
         samples = Samples.scattered(WI, WO, NOISE * (1 + t) + t * WI[:, 2:] + 0.4)

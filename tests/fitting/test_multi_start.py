@@ -237,6 +237,7 @@ def test_how_many_starts_agree():
     assert close.agreeing(relative=1e12) == 4
 
 
+@pytest.mark.slow
 def test_a_batch_of_materials_is_each_by_itself():
     truths = [CookTorrance(0.2, 0.6, 0.25), CookTorrance(0.5, 0.3, 0.12)]
     values = jnp.stack([truth(RULE.wi, RULE.wo) for truth in truths])
