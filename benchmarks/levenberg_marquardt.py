@@ -1,6 +1,6 @@
 """Levenberg-Marquardt of a whole fit against every method of scipy.optimize.least_squares, given the same Jacobian.
 
-    python -m benchmarks.levenberg_marquardt [--samples 100000] [--together]
+    python -m benchmarks.levenberg_marquardt [--samples 100000] [--repeats 3] [--together]
 
 HSH of order 8, isotropic: 165 unknowns a channel, 3 channels, float64, the mapping log(1 + ρ z_i z_o), a Cook-Torrance
 surface with 1 % of noise. Each row starts at 0 and ends at the same loss. The channels of a linear model do not touch:
@@ -12,12 +12,11 @@ Jacobian, and pays for neither its formation nor the compilation; `fit` forms it
 import argparse
 import time
 
-REPEATS = 3
-
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=100_000)
+    parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--together", action="store_true")
     options = parser.parse_args()
 
@@ -105,7 +104,7 @@ def main() -> None:
         cases |= {f"scipy {m}, together": (lambda method=m: scipy_fit(method, True)) for m in ("trf", "dogbox")}
     times = {name: [] for name in cases}
     outcome = {}
-    for _ in range(REPEATS if not options.together else 1):
+    for _ in range(options.repeats):
         for name, case in cases.items():  # interleaved: a busy minute hits all of them
             start, cpu = time.perf_counter(), time.process_time()
             outcome[name] = case()
