@@ -205,8 +205,9 @@ def _parameters(model) -> dict[str, Any]:
     """The arrays of a model by their names."""
     import jax
 
-    leaves = jax.tree_util.tree_leaves_with_path(model)
-    return {jax.tree_util.keystr(path).lstrip("."): leaf for path, leaf in leaves}
+    from hshjax.fitting._bounds import path_name
+
+    return {path_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(model)}
 
 
 def _endings(found: list) -> dict[str, str]:

@@ -74,6 +74,17 @@ class Samples(eqx.Module):
         weight = jnp.ones(wi.shape[0], wi.dtype) if weight is None else weight
         return cls(wi, wo, value, weight, None, isotropic)
 
+    def cleared(self) -> "Samples":
+        """The same samples, with what is masked replaced: black, in the direction of the normal, at weight exactly 0.
+
+        What masks a sample may be NaN in its values and directions; 0 times NaN is NaN, and so are its derivatives.
+        """
+        used = (self.weight > 0)[:, None]
+        pole = jnp.zeros_like(self.wi).at[:, 2].set(1)
+        wi, wo = jnp.where(used, self.wi, pole), jnp.where(used, self.wo, pole)
+        value, weight = jnp.where(used, self.value, 0), jnp.where(used[:, 0], self.weight, 0)
+        return Samples(wi, wo, value, weight, self.degree, self.isotropic)
+
     def reweighted(self, weight: Float[Array, " n"]) -> "Samples":
         """The same samples under other weights: no longer the nodes of an exact rule."""
         return Samples(self.wi, self.wo, self.value, weight, None, self.isotropic)

@@ -70,6 +70,23 @@ def test_other_weights_make_samples_scattered():
     assert_close(samples.value, rule.wi)
 
 
+def test_what_is_masked_is_cleared():
+    weight = jnp.arange(N, dtype=DTYPE)
+    bad = {name: parts()[name].at[0].set(jnp.nan) for name in ("wi", "wo", "value")}
+    clear = Samples(**bad, weight=weight, degree=4, isotropic=True).cleared()
+    assert (clear.degree, clear.isotropic) == (4, True)
+    for name, array in parts(weight=(N,)).items():
+        assert_close(getattr(clear, name)[1:], weight[1:] if name == "weight" else array[1:])
+    assert_close(clear.wi[0], jnp.array([0, 0, 1], DTYPE))
+    assert_close(clear.wo[0], jnp.array([0, 0, 1], DTYPE))
+    assert_close(jnp.append(clear.value[0], clear.weight[0]), jnp.zeros(4))
+
+
+def test_a_negative_or_missing_weight_masks_too():
+    weight = jnp.array([jnp.nan, -1, 0, 1, 2], DTYPE)
+    assert_close(Samples(**{**parts(), "weight": weight}).cleared().weight, jnp.array([0, 0, 0, 1, 2]))
+
+
 def test_samples_pass_through_jit_with_their_rule():
     samples = Samples.from_function(lambda wi, wo: wi, pair_rule(1))
     found = jax.jit(lambda s: s)(samples)

@@ -130,18 +130,23 @@ def _fitted(pairs: hshjax.IsotropicBasis, samples: hshjax.Samples, fit: FitSecti
     result = hshjax.project(pairs, samples, norm=fit.norm, ridge=fit.ridge, prior=prior, reciprocity=False)
     value = np.asarray(result.model(samples.wi, samples.wo))
     shown = np.asarray(hshjax.NORMS["E"].judge_weight(samples.wi, samples.wo)) > 0
-    energy = np.asarray(samples.weight * samples.wi[:, 2] * samples.wo[:, 2])[:, None] * value
     return {
         "coefficients": np.asarray(result.model.coefficients),
         "unknowns": result.unknowns,
-        "error": _together(value, samples, fit.norm),
-        "error_e": _together(value, samples, "E"),
+        "error": joint_error(value, samples, fit.norm),
+        "error_e": joint_error(value, samples, "E"),
         "minimum": float(value[shown].min()),
-        "negative": float(np.maximum(-energy, 0).sum() / np.abs(energy).sum()),
+        "negative": negative_share(value, samples),
     }
 
 
-def _together(value: np.ndarray, samples: hshjax.Samples, norm: str) -> float:
+def negative_share(value: np.ndarray, samples: hshjax.Samples) -> float:
+    """The share of ∫∫ |ρ| z_i z_o, all channels together, that is negative; `value` at the nodes of `samples`."""
+    energy = np.asarray(samples.weight * samples.wi[:, 2] * samples.wo[:, 2])[:, None] * value
+    return float(np.maximum(-energy, 0).sum() / np.abs(energy).sum())
+
+
+def joint_error(value: np.ndarray, samples: hshjax.Samples, norm: str) -> float:
     """The relative error over all channels at once, where `hshjax.relative_error` has one a channel."""
     weight = np.asarray(samples.weight * hshjax.NORMS[norm].judge_weight(samples.wi, samples.wo))[:, None]
     truth = np.asarray(samples.value)

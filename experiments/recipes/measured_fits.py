@@ -13,6 +13,7 @@ from pydantic import Field
 
 import hshjax
 from experiments.config import DataPath, RecipeConfig, local_path
+from experiments.recipes._material import joint_error, negative_share
 from experiments.recipes._paper import BLUE, GREEN, ORANGE, RED, plain
 from experiments.recipes._surrogate import read_surrogates
 from experiments.record import Record
@@ -219,13 +220,12 @@ def _judge(label: str, kept: dict[str, Any], truth: dict[str, Samples]) -> list[
         data = np.asarray(samples.value)
         cosines = np.asarray(samples.wi[:, 2] * samples.wo[:, 2])[:, None]
         solid = np.asarray(samples.weight)[:, None]
-        energy = solid * cosines * value
         shaded, expected = (np.maximum(x * cosines, -0.99) for x in (value, data))
         rows.append({
             "material": name, "model": label, "coefficients": count,
-            "error": float(np.sqrt(np.sum(solid * cosines * (value - data) ** 2) / np.sum(solid * cosines * data**2))),
+            "error": joint_error(value, samples, NORM),
             "log error": float(np.sum(solid * np.abs(np.log1p(shaded) - np.log1p(expected))) / np.sum(solid) / 3),
-            "negative energy": float(np.maximum(-energy, 0).sum() / np.abs(energy).sum()),
+            "negative energy": negative_share(value, samples),
             "smallest value": float(value.min()),
             "largest albedo": float(jnp.max(hshjax.albedo(model, wo))),
             "converged": bool(kept["converged"][k]) if "converged" in kept else True,

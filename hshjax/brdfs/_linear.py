@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._base import AbstractBRDF
+from hshjax.brdfs._parameters import check_coefficients
 
 Target = Literal["brdf", "half_foreshortened", "foreshortened"]
 
@@ -39,12 +40,7 @@ class LinearBRDF(AbstractBRDF):
     target: Target = eqx.field(static=True, default="brdf", converter=_known)
 
     def __check_init__(self):
-        shape = jnp.shape(self.coefficients)
-        if len(shape) != 2 or shape[0] != self.basis.count:
-            raise ValueError(
-                f"coefficients of a LinearBRDF over {self.basis} must have shape ({self.basis.count}, channels), "
-                f"got {shape}"
-            )
+        check_coefficients(self, "channels")
 
     @property
     def channels(self) -> int:

@@ -1,4 +1,6 @@
-"""Shape checks of the analytic BRDFs."""
+"""Shape checks of BRDFs."""
+
+from typing import Any
 
 import equinox as eqx
 
@@ -16,3 +18,13 @@ def check_parameters(brdf: eqx.Module, *, spectra: tuple[str, ...] = (), scalars
     channels = {shapes[field] for field in spectra} - {(), (1,)}
     if len(channels) > 1:
         raise ValueError(f"{name} needs one number of channels, got { {f: shapes[f] for f in spectra} }")
+
+
+def check_coefficients(brdf: Any, *axes: str) -> None:
+    """ValueError unless `coefficients` has an axis of the modes of the basis, and one for each of `axes`."""
+    shape = brdf.coefficients.shape
+    if len(shape) != 1 + len(axes) or shape[0] != brdf.basis.count:
+        raise ValueError(
+            f"coefficients of a {type(brdf).__name__} over {brdf.basis} must have shape "
+            f"({', '.join((str(brdf.basis.count), *axes))}), got {shape}"
+        )

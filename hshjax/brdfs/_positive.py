@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from hshjax._typing import Array, Float, Real
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._base import AbstractBRDF, floating
+from hshjax.brdfs._parameters import check_coefficients
 
 
 class AbstractPositiveBRDF(AbstractBRDF):
@@ -25,15 +26,10 @@ class AbstractPositiveBRDF(AbstractBRDF):
 
     basis: eqx.AbstractVar[AbstractPairBasis]
     coefficients: eqx.AbstractVar[Array]
-    axes: ClassVar[str]
+    axes: ClassVar[tuple[str, ...]] = ("channels",)
 
     def __check_init__(self):
-        shape = self.coefficients.shape
-        if len(shape) != self.axes.count(",") + 1 or shape[0] != self.basis.count:
-            raise ValueError(
-                f"coefficients of a {type(self).__name__} over {self.basis} must have shape "
-                f"{self.axes.replace('modes', str(self.basis.count))}, got {shape}"
-            )
+        check_coefficients(self, *self.axes)
         if not self.basis.reciprocal:
             raise ValueError(f"{type(self).__name__} needs a reciprocal basis, got {self.basis}")
 
@@ -57,7 +53,6 @@ class ExpBRDF(AbstractPositiveBRDF):
 
     basis: AbstractPairBasis
     coefficients: Float[Array, "modes channels"] = eqx.field(converter=floating)
-    axes = "(modes, channels)"
 
     @staticmethod
     def link(series):
@@ -79,7 +74,6 @@ class SoftplusBRDF(AbstractPositiveBRDF):
 
     basis: AbstractPairBasis
     coefficients: Float[Array, "modes channels"] = eqx.field(converter=floating)
-    axes = "(modes, channels)"
     bend: ClassVar[float] = 0.1
 
     @staticmethod
@@ -104,7 +98,7 @@ class SquaredBRDF(AbstractPositiveBRDF):
 
     basis: AbstractPairBasis
     coefficients: Float[Array, "modes squares channels"] = eqx.field(converter=floating)
-    axes = "(modes, squares, channels)"
+    axes = ("squares", "channels")
 
     @staticmethod
     def link(series):

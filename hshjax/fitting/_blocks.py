@@ -29,11 +29,8 @@ def fold(
         start = jnp.minimum(i * rows, n - rows)
         block = (samples.wi, samples.wo, samples.value, samples.weight)
         wi, wo, value, weight = (jax.lax.dynamic_slice_in_dim(a, start, rows) for a in block)
-        fresh = start + jnp.arange(rows) >= i * rows
-        weight = jnp.where(fresh, weight, 0)
-        used = (weight > 0)[:, None]
-        pole = jnp.zeros_like(wi).at[:, 2].set(1)
-        wi, wo = jnp.where(used, wi, pole), jnp.where(used, wo, pole)
-        return visit(carry, wi, wo, jnp.where(used, value, 0), weight)
+        weight = jnp.where(start + jnp.arange(rows) >= i * rows, weight, 0)
+        clear = Samples(wi, wo, value, weight).cleared()
+        return visit(carry, clear.wi, clear.wo, clear.value, weight)  # a weight of NaN is to be seen
 
     return jax.lax.fori_loop(0, -(-n // rows), step, carry)

@@ -91,15 +91,19 @@ def to_free(x: Real, box: Box) -> Real:
     """The free number of a parameter that lies in its box; NaN for one outside, which no number stands for."""
     if not box.bounded:
         return x
-    # A bound that a float32 cannot hold is still met by the float32 nearest to it.
-    low, high = (jnp.asarray(end, x.dtype) for end in (box.low, box.high))
-    x = jnp.where((x < low) | (x > high), jnp.nan, x)
+    x = jnp.where(outside(x, box), jnp.nan, x)
     margin = INSIDE * box.size
     x = jnp.clip(x, box.low + margin, box.high - margin)
     if box.bounded == 2:
         return jnp.arcsin(2 * (x - box.low) / box.size - 1)
     rise = x - box.low if math.isfinite(box.low) else box.high - x
     return jnp.sqrt(rise * (rise + 2))
+
+
+def outside(x: Real, box: Box) -> Bool[Array, "..."]:
+    """Where a parameter is not in its box; a bound that a float32 cannot hold is met by the float32 nearest to it."""
+    low, high = (jnp.asarray(end, x.dtype) for end in (box.low, box.high))
+    return (x < low) | (x > high)
 
 
 def on_bound(x: Real, box: Box) -> Bool[Array, "..."]:

@@ -11,7 +11,7 @@ import numpy as np
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._linear import EXPONENTS, Target, cosine_power
-from hshjax.fitting._constraints import NEAREST, Energy, Family, NonNegative, vanishes
+from hshjax.fitting._constraints import Energy, Family, NonNegative, last_polar, polar_angle, vanishes
 from hshjax.fitting._search import follow, in_chunks
 
 TOLERANCE = 1e-6
@@ -94,7 +94,7 @@ def certify(
     Also what is lowest for each constraint.
     """
     exponent = EXPONENTS[target]
-    edge = 2 * np.arccos(np.sqrt(NEAREST[dtype])) if exponent else np.pi
+    edge = last_polar(dtype) if exponent else np.pi
     depth = int(vanishes(exponent, constraints))
     # Not `families`: both figures are reported whatever was asked for, and looked for just as close to the horizon.
     values, energy = (
@@ -105,7 +105,7 @@ def certify(
     dark, bright = _lowest(values, coefficients, pairs, exponent), _lowest(energy, coefficients, directions, 0.0)
     kept = {"non_negative": dark.figure >= -TOLERANCE, "energy": -bright.figure <= 1 + TOLERANCE}
     every = tuple(bool(all(channel)) for channel in zip(*(kept[name] for name in constraints), strict=True))
-    theta = float(np.arccos(np.cos(edge / 2) ** 2))
+    theta = polar_angle(edge)
     smallest, albedo, added = (jnp.asarray(figure, dtype) for figure in (dark.figure, -bright.figure, lift))
     certificate = Certificate(smallest, albedo, added, every, len(pairs), len(directions), theta, rounds, active)
     return certificate, {"non_negative": dark, "energy": bright._replace(lowest=1 + bright.lowest)}
@@ -161,7 +161,7 @@ def _lowest_of_cells(family: Family, x: np.ndarray, values: np.ndarray) -> np.nd
 
 def _polar(count: int, edge: float) -> np.ndarray:
     """α of evenly spaced polar angles, and of some near the pole and the horizon."""
-    last = np.degrees(np.arccos(np.cos(edge / 2) ** 2))
+    last = np.degrees(polar_angle(edge))
     theta = (np.arange(count) + 0.5) / count * last
     theta = np.radians(np.r_[theta, 0, 0.05, 0.5, [t for t in (86, 88, 89, 89.5, 89.9) if t < last], last])
     return 2 * np.arcsin(np.minimum(np.sqrt(2) * np.sin(theta / 2), 1))  # cos²(α/2) = cos θ

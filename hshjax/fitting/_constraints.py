@@ -164,13 +164,23 @@ def families(
 ) -> tuple[Family, ...]:
     """The families of inequalities for a series that stands for (z_i z_o)^exponent ρ."""
     vanishing = vanishes(exponent, constraints)
-    edge = 2 * np.arccos(np.sqrt(NEAREST[dtype])) if vanishing else np.pi
+    edge = last_polar(dtype) if vanishing else np.pi
     found: list[Family] = []
     if "non_negative" in constraints:
         found.append(NonNegative(basis, (int(vanishing and basis.reciprocal), int(vanishing)), edge))
     if "energy" in constraints:
         found.append(Energy(basis, exponent, exponent if vanishing else 0.0, edge))
     return tuple(found)
+
+
+def last_polar(dtype: np.dtype) -> float:
+    """α of the smallest cosine by which something is divided."""
+    return float(2 * np.arccos(np.sqrt(NEAREST[dtype])))
+
+
+def polar_angle(alpha: float) -> float:
+    """θ of α: cos θ = cos²(α/2)."""
+    return float(np.arccos(np.cos(alpha / 2) ** 2))
 
 
 def vanishes(exponent: float, constraints: tuple[str, ...]) -> bool:

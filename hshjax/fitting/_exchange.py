@@ -6,8 +6,7 @@ from active, and solve again. The optimum grows from round to round, so that it 
 the minima of the solution itself.
 """
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,19 +23,12 @@ COARSE = 4
 """Rounds in which the minima are moving still, so that it does not pay to find them to all digits."""
 
 
-class Active(NamedTuple):
-    """Inequalities of one family that hold one channel: points `(m, d)` and multipliers `(m,)` > 0."""
-
-    x: np.ndarray
-    multiplier: np.ndarray
-
-
 @dataclass
 class Channel:
-    """What the exchange knows of one channel; one entry per family in `points` and `active`."""
+    """What the exchange knows of one channel: points of every family, and how many inequalities hold it."""
 
     points: list[np.ndarray]
-    active: list[Active] = field(default_factory=list)
+    active: int = 0
     settled: bool = False
 
 
@@ -108,9 +100,7 @@ class Exchange:
         ends = np.cumsum([len(x) for x in channel.points])[:-1]
         # What is far from active would only slow the next solution down.
         keep = (multiplier > 0) | (slack <= np.sort(slack)[min(slack.size, 2 * point.size) - 1])
-        channel.active = [
-            Active(x[m > 0], m[m > 0]) for x, m in zip(channel.points, np.split(multiplier, ends), strict=True)
-        ]
+        channel.active = int(np.sum(multiplier > 0))
         channel.points = [x[k] for x, k in zip(channel.points, np.split(keep, ends), strict=True)]
 
 

@@ -12,7 +12,7 @@ import optimistix as optx
 from jax.core import Tracer
 
 from hshjax._typing import Array
-from hshjax.fitting._bounds import Box, declared, on_bound, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared, on_bound, outside, to_bounded, to_free
 from hshjax.fitting._jaxopt import Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
 from hshjax.fitting._optimistix import half_square, solve_optimistix
@@ -62,29 +62,37 @@ def fit(
     """
     free, held = eqx.partition(model, chosen(model, trainable))
     boxes = tuple(declared(free))
-    if not boxes:
-        raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
     if max_steps < 1:
         raise ValueError(f"max_steps must be at least 1, got {max_steps}")
     leaves = jax.tree.leaves(free)
     _check_finite(leaves, boxes)
     check_bounds(leaves, boxes)
-    if solver is None:
-        solver = LevenbergMarquardt(rtol=default_tolerance(free), atol=default_tolerance(free))
+    solver = default_solver(free) if solver is None else solver
     found = _run(free, held, checked(objective, solver), solver, boxes, max_steps, on_step)
     return check_end(found) if throw else found
 
 
 def default_tolerance(free: Any) -> float:
-    """Of the default solver, for the dtype of what is trainable."""
+    """Of the default solvers, for the dtype of what is trainable."""
     return 1e-8 if all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(free)) else 1e-4
 
 
+def default_solver(free: Any) -> LevenbergMarquardt:
+    """For the dtype of what is trainable."""
+    return LevenbergMarquardt(rtol=default_tolerance(free), atol=default_tolerance(free))
+
+
 def chosen(model: Any, trainable: Any) -> Any:
-    """The model's tree with True at every floating array that is to be fitted."""
+    """The model's tree with True at every floating array that is to be fitted; ValueError where that is none."""
     floating = jax.tree.map(eqx.is_inexact_array, model)
-    if trainable is None:
-        return floating
+    mask = floating if trainable is None else _masked(floating, trainable)
+    if not any(jax.tree.leaves(mask)):
+        raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
+    return mask
+
+
+def _masked(floating: Any, trainable: Any) -> Any:
+    """Of the floating arrays those that `trainable` picks, a function or a tree of booleans."""
     if callable(trainable) and not isinstance(trainable, eqx.Module):  # a mask of a BRDF can be called, too
         nothing = jax.tree.map(lambda _: False, floating)
         trainable = eqx.tree_at(trainable, nothing, replace_fn=lambda part: jax.tree.map(lambda _: True, part))
@@ -125,15 +133,17 @@ def _run(
         return {name: _floating(name, term(model)) for name, term in smooth.items()}
 
     def losses(y):
+        """The smooth part of the loss, and all parts by name."""
         found = {name: half_square(residual) for name, residual in residuals(y, (held, smooth)).items()}
         size = jnp.stack([jnp.sum(jnp.abs(u)) for u in y]).sum()
-        return found | {name: weight.astype(size.dtype) * size for name, weight in sparse.items()}
+        by_name = found | {name: weight.astype(size.dtype) * size for name, weight in sparse.items()}
+        return sum(found.values()), by_name
 
     def visit(step, loss):
         if on_step is not None:
             jax.debug.callback(on_step, step, loss)
 
-    start_losses = losses(start)
+    _, start_losses = losses(start)
     if isinstance(solver, Jaxopt):
         low = [jnp.full_like(leaf, box.low) for leaf, box in zip(leaves, boxes, strict=True)]
         high = [jnp.full_like(leaf, box.high) for leaf, box in zip(leaves, boxes, strict=True)]
@@ -141,8 +151,7 @@ def _run(
         y, steps, outcome, curve = solver.solve(residuals, start, (held, smooth), (low, high), l1, max_steps, visit)
     else:
         y, steps, outcome, curve = solve_optimistix(solver, residuals, start, (held, smooth), max_steps, visit)
-    gradient = jax.grad(lambda y: half_square(residuals(y, (held, smooth))))(y)
-    end = losses(y)
+    gradient, end = jax.grad(losses, has_aux=True)(y)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
     outcome = Outcome.where(_finite(end, y), outcome, Outcome.nonfinite)
     outcome = Outcome.where(_finite(start_losses, start), outcome, Outcome.nonfinite_start)
@@ -197,13 +206,10 @@ def _check_finite(leaves: list[Array], boxes: Sequence[Box]) -> None:
 def check_bounds(leaves: list[Array], boxes: Sequence[Box]) -> None:
     """ValueError for a start outside its box, where values can be seen; NaN is in none and passes."""
     for leaf, box in zip(leaves, boxes, strict=True):
-        if isinstance(leaf, Tracer):
-            continue
-        value = np.asarray(leaf)
-        # A bound that a float32 cannot hold is still met by the float32 nearest to it.
-        low, high = (np.asarray(end, value.dtype) for end in (box.low, box.high))
-        if np.any((value < low) | (value > high)):
-            raise ValueError(f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {value}")
+        if not isinstance(leaf, Tracer) and np.any(outside(leaf, box)):
+            raise ValueError(
+                f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {np.asarray(leaf)}"
+            )
 
 
 def check_end(found: IterativeFit) -> IterativeFit:

@@ -17,6 +17,7 @@ from hshjax.fitting._optimistix import half_square
 from hshjax.fitting._terms import SampleMisfit
 from hshjax.samples import Samples
 
+COSINE_WEIGHTED = CosineWeighted()
 FEWEST_CANDIDATES = 64
 CANDIDATES_PER_GUESS = 4
 SWEEPS = 50
@@ -28,7 +29,7 @@ def initial_guesses(
     samples: Samples,
     count: int = 16,
     *,
-    mapping: AbstractMapping = CosineWeighted(),  # noqa: B008 (frozen)
+    mapping: AbstractMapping = COSINE_WEIGHTED,
     trainable: Any = None,
 ) -> AbstractBRDF:
     """Starts for `multi_start`: models like the template with a leading axis of guesses, best first.
@@ -60,9 +61,7 @@ def initial_guesses(
     if count < 1:
         raise ValueError(f"count must be at least 1, got {count}")
     free, held = eqx.partition(template, chosen(template, trainable))
-    if not jax.tree.leaves(free):
-        raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
-    return _guesses(free, held, _unmasked(samples), mapping, count)
+    return _guesses(free, held, samples.cleared(), mapping, count)
 
 
 @eqx.filter_jit
@@ -229,12 +228,3 @@ def _best_distinct(losses: Float[Array, " candidates"], points: np.ndarray, coun
 
     _, kept = jax.lax.scan(pick, jnp.zeros(losses.size, bool), length=count)
     return kept[jnp.argsort(losses[kept])]
-
-
-def _unmasked(samples: Samples) -> Samples:
-    """The samples with what is masked replaced by a black one of weight 0, lest 0 times NaN be NaN."""
-    used = (samples.weight > 0)[:, None]
-    pole = jnp.zeros_like(samples.wi).at[:, 2].set(1)
-    wi, wo = jnp.where(used, samples.wi, pole), jnp.where(used, samples.wo, pole)
-    weight = jnp.where(used[:, 0], samples.weight, 0)
-    return Samples(wi, wo, jnp.where(used, samples.value, 0), weight)

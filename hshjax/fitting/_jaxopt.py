@@ -82,7 +82,7 @@ class Jaxopt(eqx.Module):
             hyper = ((lower, upper),)
         elif self.make.__name__ == "ProjectedGradient":
             extra, hyper = (_clip,), ((lower, upper),)
-        elif self.make.__name__ == "ProximalGradient":
+        elif self.takes_sparsity:
             extra, hyper = (_shrink_and_clip,), ((sparsity.astype(first.dtype), lower, upper),)
         solver = self.make(function, *extra, maxiter=max_steps, **dict(self.options))
 

@@ -33,11 +33,11 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """Levenberg-Marquardt that keeps JᵀJ and Jᵀr of its residuals, and nothing of their number.
 
     A step solves (JᵀJ + λ diag JᵀJ) δ = Jᵀr by Cholesky; λ follows the ratio of the reduction to the predicted one,
-    down by at most 10 a step. Steps do not depend on the scale of the
-    residuals or of a parameter; where they end does, through `atol`. With far more residuals
-    than unknowns it takes a fraction of the time of `optimistix.LevenbergMarquardt`, above all under vmap. JᵀJ has the
-    squared condition number of J; where it tells nothing more, damping keeps the steps small, and y ends where Jᵀr
-    vanishes in any case. A step holds the Jacobian, residuals x unknowns.
+    down by at most 10 a step. Steps do not depend on the scale of the residuals or of a parameter; where they end does,
+    through `atol`. With far more residuals than unknowns it takes a fraction of the time of
+    `optimistix.LevenbergMarquardt`, above all under vmap. JᵀJ has the squared condition number of J; where it tells
+    nothing more, damping keeps the steps small, and y ends where Jᵀr vanishes in any case. A step holds the Jacobian,
+    residuals x unknowns.
 
     - `rtol`, `atol`: it has converged when a step is below atol + rtol |y| (largest element) and changes the loss by at
       most atol + rtol loss.

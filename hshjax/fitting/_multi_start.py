@@ -8,8 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from hshjax.fitting._bounds import declared, path_name
-from hshjax.fitting._fit import Solver, check_bounds, check_end, checked, chosen, default_tolerance, fit
-from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
+from hshjax.fitting._fit import Solver, check_bounds, check_end, checked, chosen, default_solver, fit
 from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._result import Model, MultiStart
 from hshjax.fitting._terms import AbstractTerm
@@ -47,13 +46,10 @@ def multi_start(
     mask = chosen(starts, trainable)
     _check_starts(starts)
     free = eqx.filter(starts, mask)
-    if not jax.tree.leaves(free):
-        raise ValueError("nothing is trainable: the model has no floating array, or `trainable` chose none")
     check_bounds(jax.tree.leaves(free), declared(free))
     if min(screening_steps, max_steps) < 1:
         raise ValueError(f"screening_steps and max_steps must be at least 1, got {screening_steps} and {max_steps}")
-    if solver is None:
-        solver = LevenbergMarquardt(default_tolerance(free), default_tolerance(free))
+    solver = default_solver(free) if solver is None else solver
     found = _run(starts, checked(objective, solver), solver, mask, screening_steps, max_steps)
     return eqx.tree_at(lambda found: found.best, found, check_end(found.best)) if throw else found
 

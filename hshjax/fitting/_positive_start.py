@@ -36,18 +36,17 @@ def positive_start(
     """
     if squares < 1 or (squares > 1 and kind is not SquaredBRDF):
         raise ValueError(f"squares must be at least 1, and 1 for a {kind.__name__}, got {squares}")
-    used = (samples.weight > 0)[:, None]
-    value = jnp.where(used, samples.value, 0)
-    mean = jnp.sum(jnp.maximum(value, 0)) / (jnp.sum(used) * samples.channels).astype(value.dtype)
+    samples = samples.cleared()
+    value, weight = samples.value, samples.weight
+    used = jnp.sum(weight > 0).astype(value.dtype)
+    mean = jnp.sum(jnp.maximum(value, 0)) / (used * samples.channels)
     mean = jnp.where(mean > 0, mean, 1)  # of black samples: something finite, from where a fit goes down
     series = kind.inverse_link(jnp.maximum(value, FLOOR * mean))
     _, slope = jax.jvp(kind.link, (series,), (jnp.ones_like(series),))
     importance = jnp.mean((samples.wi[:, 2:] * samples.wo[:, 2:] * slope) ** 2, axis=1)
-    weight = jnp.where(used[:, 0], samples.weight, 0)
     # Dark and grazing directions, which hardly count, still hold the series: a link makes much of what it does there.
     importance = weight * (importance / jnp.sum(weight * importance) + EVERYWHERE / jnp.sum(weight))
-    importance = importance * jnp.sum(used).astype(value.dtype)
-    linked = Samples(samples.wi, samples.wo, series, importance, None, samples.isotropic)
+    linked = Samples(samples.wi, samples.wo, series, used * importance, None, samples.isotropic)
     found = project(basis, linked, norm="C", ridge=ridge, prior="spectral", reciprocity=False)
     coefficients = found.model.coefficients
     return kind(basis, _squares(coefficients, squares) if issubclass(kind, SquaredBRDF) else coefficients)

@@ -82,18 +82,17 @@ class SampleMisfit(AbstractTerm):
     robust: AbstractRobustLoss | None = None
 
     def __call__(self, model: PairFunction):
-        data = self.samples
-        used = (data.weight > 0)[:, None]
-        pole = jnp.zeros_like(data.wi).at[:, 2].set(1)
-        wi, wo = jnp.where(used, data.wi, pole), jnp.where(used, data.wo, pole)
+        data = self.samples.cleared()
+        wi, wo = data.wi, data.wo
         rho = model(wi, wo)
         if rho.shape != data.value.shape:
             raise ValueError(f"the model gives values of shape {rho.shape}, the samples have {data.value.shape}")
-        difference = self.mapping(rho, wi, wo) - self.mapping(jnp.where(used, data.value, 0), wi, wo)
-        difference = jnp.where(used, difference, 0)
+        difference = self.mapping(rho, wi, wo) - self.mapping(data.value, wi, wo)
+        # What is masked must stay 0 even where the model itself is infinite at the normal.
+        difference = jnp.where((data.weight > 0)[:, None], difference, 0)
         if self.robust is not None:
             difference = self.robust(difference)
-        return jnp.sqrt(jnp.where(used, data.weight[:, None], 0)) * difference
+        return jnp.sqrt(data.weight)[:, None] * difference
 
 
 class Reciprocity(AbstractTerm):

@@ -70,7 +70,7 @@ def _until_certified(
 ) -> Certificate:
     def look(lift):
         kept = exchange.coefficients.astype(dtype).astype(np.float64)
-        active = tuple(sum(a.multiplier.size for a in channel.active) for channel in exchange.channels)
+        active = tuple(channel.active for channel in exchange.channels)
         return certify(basis, kept, target, constraints, dtype, exchange.rounds, active, lift)
 
     none = np.zeros(len(exchange.channels))

@@ -34,6 +34,7 @@ from tests.helpers import DTYPE, X64, assert_close, slow_unless
 RULE = isotropic_pair_rule(12, dtype=DTYPE)
 TRUTH = CookTorrance(np.array([0.3, 0.2, 0.1]), 0.4, 0.15)
 CLEAN = Samples.from_function(TRUTH, RULE)
+COSINE_WEIGHTED = CosineWeighted()
 
 
 def objective(samples):
@@ -44,7 +45,7 @@ def first(guesses):
     return jax.tree.map(lambda leaf: leaf[0], guesses)
 
 
-def losses(guesses, samples, mapping=CosineWeighted()):  # noqa: B008
+def losses(guesses, samples, mapping=COSINE_WEIGHTED):
     return eqx.filter_vmap(lambda model: jnp.sum(SampleMisfit(samples, mapping)(model) ** 2) / 2)(guesses)
 
 
@@ -252,7 +253,8 @@ def test_a_batch_of_materials_is_each_by_itself():
     assert both.losses.shape == (2, 4)
     for i, truth in enumerate(truths):
         alone = one(values[i])
-        for got, single, true in zip(*(jax.tree.leaves(m) for m in (both.best.model, alone.best.model, truth))):  # noqa: B905
+        leaves = (jax.tree.leaves(model) for model in (both.best.model, alone.best.model, truth))
+        for got, single, true in zip(*leaves, strict=True):
             assert_close(got[i], single, tolerance=1e-7 if X64 else 1e-3)
             assert_close(got[i], true, tolerance=1e-6 if X64 else 2e-3)
 

@@ -56,7 +56,8 @@ def test_more_squares_fit_better():
 
 
 def test_masked_samples_may_hold_anything():
-    bad = Samples(RULE.wi, RULE.wo, SAMPLES.value.at[0].set(jnp.nan), RULE.weight.at[0].set(0))
+    wi, value = RULE.wi.at[0].set(jnp.nan), SAMPLES.value.at[0].set(jnp.nan)
+    bad = Samples(wi, RULE.wo, value, RULE.weight.at[0].set(0))
     good = Samples(RULE.wi, RULE.wo, SAMPLES.value, bad.weight)
     assert_close(positive_start(ExpBRDF, BASIS, bad).coefficients, positive_start(ExpBRDF, BASIS, good).coefficients)
 
