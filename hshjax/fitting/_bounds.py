@@ -1,6 +1,7 @@
 """Bounded parameters: the boxes that a model's fields declare, and the free numbers that a smooth solver moves.
 
-A two-sided box is x = low + (high - low) (1 + sin u) / 2, a one-sided one x = low + sqrt(1 + u²) - 1: both reach the
+Solvers that keep boxes move the parameters themselves. For the others, and for derivatives of a fit, there is a chart:
+a two-sided box is x = low + (high - low) (1 + sin u) / 2, a one-sided one x = low + sqrt(1 + u²) - 1: both reach the
 bound itself at a finite u, with dx/du = 0 there, so that a fit can end on a bound and its derivative knows it.
 
 Source: James & Roos, MINUIT, Computer Physics Communications 10, 1975, "transformation for parameters with limits".
@@ -87,12 +88,11 @@ def to_bounded(u: Real, box: Box) -> Real:
     return box.high - rise if box.bounded else u
 
 
-def to_free(x: Real, box: Box) -> Real:
-    """The free number of a parameter that lies in its box; NaN for one outside, which no number stands for."""
+def to_free(x: Real, box: Box, inside: float = INSIDE) -> Real:
+    """The free number of a parameter that lies in its box, at least `inside` of the box from its ends; NaN for NaN."""
     if not box.bounded:
         return x
-    x = jnp.where(outside(x, box), jnp.nan, x)
-    margin = INSIDE * box.size
+    margin = inside * box.size
     x = jnp.clip(x, box.low + margin, box.high - margin)
     if box.bounded == 2:
         return jnp.arcsin(2 * (x - box.low) / box.size - 1)
@@ -104,6 +104,11 @@ def outside(x: Real, box: Box) -> Bool[Array, "..."]:
     """Where a parameter is not in its box; a bound that a float32 cannot hold is met by the float32 nearest to it."""
     low, high = (jnp.asarray(end, x.dtype) for end in (box.low, box.high))
     return (x < low) | (x > high)
+
+
+def nan_outside(x: Real, box: Box) -> Real:
+    """The parameter, or NaN where it is not in its box."""
+    return jnp.where(outside(x, box), jnp.nan, x) if box.bounded else x
 
 
 def on_bound(x: Real, box: Box) -> Bool[Array, "..."]:

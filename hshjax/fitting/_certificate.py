@@ -12,7 +12,7 @@ from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._linear import EXPONENTS, Target, cosine_power
 from hshjax.fitting._constraints import Energy, Family, NonNegative, last_polar, polar_angle, vanishes
-from hshjax.fitting._search import follow, in_chunks
+from hshjax.fitting._search import channel_blocks, follow, in_chunks
 
 TOLERANCE = 1e-6
 """What the smallest value [sr^-1] and the largest albedo may miss."""
@@ -79,36 +79,33 @@ class Certificate(eqx.Module):
         )
 
 
-def certify(
-    basis: AbstractPairBasis,
-    coefficients: np.ndarray,
-    target: Target,
-    constraints: tuple[str, ...],
-    dtype: np.dtype,
-    rounds: int,
-    active: tuple[int, ...],
-    lift: np.ndarray,
-) -> tuple[Certificate, dict[str, "Lowest"]]:
-    """The certificate of float64 `coefficients` `(modes, channels)`, which are kept in `dtype`.
+class Certifier:
+    """Looks at fits of one basis, whose coefficients are kept in `dtype`; what it has seen it does not look at again.
 
-    Also what is lowest for each constraint.
+    Both figures are reported whatever was asked for, and looked for just as close to the horizon.
     """
-    exponent = EXPONENTS[target]
-    edge = last_polar(dtype) if exponent else np.pi
-    depth = int(vanishes(exponent, constraints))
-    # Not `families`: both figures are reported whatever was asked for, and looked for just as close to the horizon.
-    values, energy = (
-        NonNegative(basis, (depth * basis.reciprocal, depth), edge),
-        Energy(basis, exponent, exponent, edge),
-    )
-    pairs, directions = _pairs(values), _directions(energy)
-    dark, bright = _lowest(values, coefficients, pairs, exponent), _lowest(energy, coefficients, directions, 0.0)
-    kept = {"non_negative": dark.figure >= -TOLERANCE, "energy": -bright.figure <= 1 + TOLERANCE}
-    every = tuple(bool(all(channel)) for channel in zip(*(kept[name] for name in constraints), strict=True))
-    theta = polar_angle(edge)
-    smallest, albedo, added = (jnp.asarray(figure, dtype) for figure in (dark.figure, -bright.figure, lift))
-    certificate = Certificate(smallest, albedo, added, every, len(pairs), len(directions), theta, rounds, active)
-    return certificate, {"non_negative": dark, "energy": bright._replace(lowest=1 + bright.lowest)}
+
+    def __init__(self, basis: AbstractPairBasis, target: Target, constraints: tuple[str, ...], dtype: np.dtype):
+        exponent = EXPONENTS[target]
+        edge = last_polar(dtype) if exponent else np.pi
+        depth = int(vanishes(exponent, constraints))
+        values = NonNegative(basis, (depth * basis.reciprocal, depth), edge)
+        energy = Energy(basis, exponent, exponent, edge)
+        self.values = _Watch(values, _pairs(values), exponent)
+        self.energy = _Watch(energy, _directions(energy), 0.0)
+        self.constraints, self.dtype, self.theta = constraints, dtype, polar_angle(edge)
+
+    def certify(
+        self, coefficients: np.ndarray, rounds: int, active: tuple[int, ...], lift: np.ndarray
+    ) -> tuple[Certificate, dict[str, "Lowest"]]:
+        """The certificate of float64 `coefficients` `(modes, channels)`, and what is lowest for each constraint."""
+        dark, bright = self.values.lowest(coefficients), self.energy.lowest(coefficients)
+        kept = {"non_negative": dark.figure >= -TOLERANCE, "energy": -bright.figure <= 1 + TOLERANCE}
+        every = tuple(bool(all(channel)) for channel in zip(*(kept[name] for name in self.constraints), strict=True))
+        smallest, albedo, added = (jnp.asarray(figure, self.dtype) for figure in (dark.figure, -bright.figure, lift))
+        pairs, directions = len(self.values.x), len(self.energy.x)
+        certificate = Certificate(smallest, albedo, added, every, pairs, directions, self.theta, rounds, active)
+        return certificate, {"non_negative": dark, "energy": bright._replace(lowest=1 + bright.lowest)}
 
 
 class Lowest(NamedTuple):
@@ -119,6 +116,39 @@ class Lowest(NamedTuple):
     points: list[np.ndarray]
 
 
+class _Watch:
+    """The lowest of one family's sums, at the points `x` and at the minima next to the lowest of them."""
+
+    def __init__(self, family: Family, x: np.ndarray, exponent: float):
+        self.family, self.x, self.exponent = family, x, exponent
+        self.seen: dict[int, tuple[np.ndarray, float, float, np.ndarray]] = {}
+
+    def lowest(self, coefficients: np.ndarray) -> Lowest:
+        """Of every channel; those whose coefficients are as they were keep what was found."""
+        changed = [
+            c
+            for c, column in enumerate(coefficients.T)
+            if c not in self.seen or not np.array_equal(column, self.seen[c][0])
+        ]
+        for block, columns in channel_blocks(coefficients, changed):
+            at_points = self._at(columns, self.x)
+            for k, c in enumerate(block):
+                self.seen[c] = (coefficients[:, c], *self._descended(coefficients[:, c], at_points[:, :, k]))
+        _, figure, lowest, points = zip(*(self.seen[c] for c in range(coefficients.shape[1])), strict=True)
+        return Lowest(np.array(figure), np.array(lowest), list(points))
+
+    def _at(self, columns: Array, x: np.ndarray) -> np.ndarray:
+        return in_chunks(lambda p: _sums(self.family, columns, p, self.exponent), x)
+
+    def _descended(self, column: np.ndarray, at_points: np.ndarray) -> tuple[float, float, np.ndarray]:
+        # Neither figure's lowest points alone: those may crowd in one valley, while another one is deeper.
+        start = np.concatenate([_lowest_of_cells(self.family, self.x, at_points[:, k]) for k in (0, 1)])
+        sizes = np.full(self.x.shape[1], STRIDE)
+        between = follow(self.family, column, 0.0, np.unique(start, axis=0), sizes, STEPS).x
+        seen = np.concatenate([at_points, self._at(jnp.asarray(column[:, None]), between)[:, :, 0]])
+        return np.min(seen[:, 0]), np.min(seen[:, 1]), between
+
+
 @partial(jax.jit, static_argnums=(0, 3))
 def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Float[Array, "n 2 channels"]:
     """ρ at pairs, or minus the albedo of directions; and what the rows add up to."""
@@ -127,25 +157,6 @@ def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Flo
         return jnp.stack([sums, sums], axis=1)
     factor = family.scale(x) / cosine_power(*family.pairs(x), exponent)
     return jnp.stack([sums * factor[:, None], sums], axis=1)
-
-
-def _lowest(family: Family, coefficients: np.ndarray, x: np.ndarray, exponent: float) -> Lowest:
-    """At the points, and at the minima next to the lowest of them."""
-
-    def look(points):
-        return in_chunks(lambda p: _sums(family, jnp.asarray(coefficients), p, exponent), points)
-
-    figure, lowest, points = [], [], []
-    at_points = look(x)
-    for c in range(coefficients.shape[1]):
-        # Neither figure's lowest points alone: those may crowd in one valley, while another one is deeper.
-        start = np.unique(np.concatenate([_lowest_of_cells(family, x, at_points[:, k, c]) for k in (0, 1)]), axis=0)
-        between = follow(family, coefficients[:, c], 0.0, start, np.full(x.shape[1], STRIDE), STEPS).x
-        seen = np.concatenate([at_points[:, :, c], look(between)[:, :, c]])
-        figure.append(np.min(seen[:, 0]))
-        lowest.append(np.min(seen[:, 1]))
-        points.append(between)
-    return Lowest(np.array(figure), np.array(lowest), points)
 
 
 def _lowest_of_cells(family: Family, x: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -12,10 +13,10 @@ import optimistix as optx
 from jax.core import Tracer
 
 from hshjax._typing import Array
-from hshjax.fitting._bounds import Box, declared, on_bound, outside, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, to_bounded, to_free
 from hshjax.fitting._jaxopt import Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
-from hshjax.fitting._optimistix import half_square, solve_optimistix
+from hshjax.fitting._optimistix import constant, half_square, implicit, solve_optimistix
 from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._result import IterativeFit, Model
 from hshjax.fitting._terms import AbstractTerm, l1_weight
@@ -49,8 +50,9 @@ def fit(
     - `on_step`: called from the running fit as `on_step(step, loss)`, for a display. Not under vmap. A part of the
       compiled program: use one function again and again, for another one compiles anew.
 
-    Fields declared by `bounded` stay in their box: by a smooth transformation, or by the solver that keeps boxes. A
-    start within 1e-5 of the box from a bound is moved inside to there: on it the transformation has no slope.
+    Fields declared by `bounded` stay in their box: by the solver, if it keeps boxes (the default one does, and some of
+    `Jaxopt`), else by a smooth transformation. On a bound that has no slope: a start within 1e-5 of the box from a
+    bound is then moved inside to there.
 
     Runs under jit and vmap (there `throw=False`, lest one bad start end all). The fitted model is differentiable in
     what is held (data, weights, parts that are not trainable) by the implicit function theorem at the optimum, not in
@@ -103,6 +105,11 @@ def _masked(floating: Any, trainable: Any) -> Any:
     return jax.tree.map(below, trainable, floating)
 
 
+def keeps_boxes(solver: Solver) -> bool:
+    """Whether a solver moves bounded parameters themselves, and keeps them in their boxes."""
+    return isinstance(solver, LevenbergMarquardt) or (isinstance(solver, Jaxopt) and solver.keeps_boxes)
+
+
 @eqx.filter_jit
 def _run(
     free: Any,
@@ -114,27 +121,28 @@ def _run(
     on_step: Callable[[Array, Array], None] | None,
 ) -> IterativeFit:
     leaves, structure = jax.tree.flatten(free)
-    own_boxes = isinstance(solver, Jaxopt) and solver.keeps_boxes
-    moved = tuple(Box(box.name, -math.inf, math.inf) for box in boxes) if own_boxes else boxes
-    start = [to_free(leaf, box) for leaf, box in zip(leaves, moved, strict=True)]
+    unbounded = tuple(Box(box.name, -math.inf, math.inf) for box in boxes)
+    chart = unbounded if keeps_boxes(solver) else boxes
+    leaves = [nan_outside(leaf, box) for leaf, box in zip(leaves, boxes, strict=True)]
+    start = [to_free(leaf, box) for leaf, box in zip(leaves, chart, strict=True)]
     smooth = {name: term for name, term in terms.items() if l1_weight(term) is None}
     sparse = {name: weight for name, term in terms.items() if (weight := l1_weight(term)) is not None}
 
-    def parameters(y):
+    def parameters(y, chart):
         # Behind a barrier, or XLA fuses the sine into the residuals and takes it once for every one of them.
-        return jax.lax.optimization_barrier([to_bounded(u, box) for u, box in zip(y, moved, strict=True)])
+        return jax.lax.optimization_barrier([to_bounded(u, box) for u, box in zip(y, chart, strict=True)])
 
-    def assemble(y, held):
-        return eqx.combine(jax.tree.unflatten(structure, parameters(y)), held)
+    def assemble(y, held, chart):
+        return eqx.combine(jax.tree.unflatten(structure, parameters(y, chart)), held)
 
-    def residuals(y, args):
+    def residuals(chart, y, args):
         held, smooth = args
-        model = assemble(y, held)
+        model = assemble(y, held, chart)
         return {name: _floating(name, term(model)) for name, term in smooth.items()}
 
-    def losses(y):
+    def losses(y, chart):
         """The smooth part of the loss, and all parts by name."""
-        found = {name: half_square(residual) for name, residual in residuals(y, (held, smooth)).items()}
+        found = {name: half_square(residual) for name, residual in residuals(chart, y, (held, smooth)).items()}
         size = jnp.stack([jnp.sum(jnp.abs(u)) for u in y]).sum()
         by_name = found | {name: weight.astype(size.dtype) * size for name, weight in sparse.items()}
         return sum(found.values()), by_name
@@ -143,27 +151,38 @@ def _run(
         if on_step is not None:
             jax.debug.callback(on_step, step, loss)
 
-    _, start_losses = losses(start)
+    _, start_losses = losses(start, chart)
+    args, inside = (held, smooth), partial(residuals, chart)
+    low = [jnp.full_like(leaf, box.low) for leaf, box in zip(leaves, boxes, strict=True)]
+    high = [jnp.full_like(leaf, box.high) for leaf, box in zip(leaves, boxes, strict=True)]
     if isinstance(solver, Jaxopt):
-        low = [jnp.full_like(leaf, box.low) for leaf, box in zip(leaves, boxes, strict=True)]
-        high = [jnp.full_like(leaf, box.high) for leaf, box in zip(leaves, boxes, strict=True)]
         l1 = sum(sparse.values(), start=jnp.zeros((), start[0].dtype))
-        y, steps, outcome, curve = solver.solve(residuals, start, (held, smooth), (low, high), l1, max_steps, visit)
+        y, steps, outcome, curve = solver.solve(inside, start, args, (low, high), l1, max_steps, visit)
+    elif chart == boxes:
+        y, steps, outcome, curve = solve_optimistix(solver, inside, start, args, max_steps, visit)
     else:
-        y, steps, outcome, curve = solve_optimistix(solver, residuals, start, (held, smooth), max_steps, visit)
-    gradient, end = jax.grad(losses, has_aux=True)(y)
+        options = {"lower": low, "upper": high}
+        x, steps, outcome, curve = solve_optimistix(solver, inside, start, constant(args), max_steps, visit, options)
+        # On a bound the gradient by a parameter need not vanish, but that by its free number does: there the implicit
+        # function theorem holds.
+        chart = boxes
+        y = [to_free(constant(leaf), box, inside=0.0) for leaf, box in zip(x, chart, strict=True)]
+        y = implicit(partial(residuals, chart), y, args)
+    gradient, end = jax.grad(losses, has_aux=True)(y, chart)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
     outcome = Outcome.where(_finite(end, y), outcome, Outcome.nonfinite)
     outcome = Outcome.where(_finite(start_losses, start), outcome, Outcome.nonfinite_start)
     return IterativeFit(
-        model=assemble(y, held),
+        model=assemble(y, held, chart),
         result=outcome,
         steps=steps,
         losses=end,
         start_losses=start_losses,
         curve=curve,
         gradient_norm=jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0) for part in gradient])),
-        on_bound={box.name: on_bound(x, box) for x, box in zip(parameters(y), boxes, strict=True) if box.bounded},
+        on_bound={
+            box.name: on_bound(x, box) for x, box in zip(parameters(y, chart), boxes, strict=True) if box.bounded
+        },
     )
 
 

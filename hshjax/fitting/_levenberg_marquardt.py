@@ -13,6 +13,9 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from hshjax._typing import Array, Bool, Float, Int
 from hshjax.fitting._optimistix import half_square
 
+STOPS = 4
+"""Times that a step is taken anew by what no bound has stopped; what is stopped later is cut off."""
+
 
 class _State(eqx.Module):
     """What is known at the current y, and the trial point that it led to."""
@@ -43,8 +46,13 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
       most atol + rtol loss.
     - `damping`: the first λ.
 
+    Given `options={"lower": ..., "upper": ...}`, of the structure of y, it keeps y between them. An unknown on a bound
+    that the loss pushes against stays there; one that a step would take beyond is stopped at the bound, and the step is
+    taken anew by the rest, so that an optimum on a bound is approached as fast as one inside.
+
     Source: Madsen, Nielsen, Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed., IMM, DTU, 2004, section
-    3.2, with Marquardt's scaling by the diagonal, SIAM J. Appl. Math. 11, 1963.
+    3.2, with Marquardt's scaling by the diagonal, SIAM J. Appl. Math. 11, 1963. Bounds: as the projected method of
+    Kanzow, Yamashita, Fukushima, J. Comput. Appl. Math. 172, 2004, but solved for the free unknowns.
     """
 
     rtol: float
@@ -76,7 +84,9 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
         first = state.count == 0
         better = first | (loss <= state.loss)
-        gain = jnp.where(first, 1, (state.loss - loss) / state.predicted)
+        # A step that was stopped at bounds may promise nothing; so does one from an optimum.
+        promising = state.predicted > 0
+        gain = jnp.where(promising, (state.loss - loss) / jnp.where(promising, state.predicted, 1), 0)
         small = self.norm(state.trial - flat) <= self.atol + self.rtol * self.norm(flat)
         level = jnp.abs(state.loss - loss) <= self.atol + self.rtol * state.loss
         # From a start without a finite loss no step leads anywhere.
@@ -90,9 +100,9 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         shrink = jnp.clip(1 - (2 * gain - 1) ** 3, 0.1, 1)
         damping = jnp.where(first, state.damping, state.damping * jnp.where(better, shrink, state.growth))
         damping = jnp.maximum(damping, jnp.finfo(flat.dtype).eps)  # from 0 no growth would lead back
-        move, predicted = _damped_step(gram, gradient, damping)
+        trial, predicted = _damped_step(point, gram, gradient, damping, _room(options))
         after = _State(
-            trial=point - move,
+            trial=trial,
             loss=newer(loss, state.loss),
             gram=gram,
             gradient=gradient,
@@ -124,11 +134,42 @@ def _normal_equations(residual: Any, rows: Any) -> tuple[Array, Array]:
     return jnp.stack(grams).sum(axis=0), jnp.stack(gradients).sum(axis=0)
 
 
-def _damped_step(gram: Array, gradient: Array, damping: Array) -> tuple[Array, Array]:
-    """δ, and the reduction of ½|r|² that the linearisation promises for -δ."""
+def _room(options: dict[str, Any]) -> tuple[Array, Array] | None:
+    """The bounds as flat arrays, None without any."""
+    if "lower" not in options:
+        return None
+    lower, upper = (ravel_pytree(options[side])[0] for side in ("lower", "upper"))
+    return lower, upper
+
+
+def _damped_step(
+    point: Array, gram: Array, gradient: Array, damping: Array, bounds: tuple[Array, Array] | None
+) -> tuple[Array, Array]:
+    """Where the damped step from `point` leads, and the reduction of ½|r|² that the linearisation promises for it."""
     diagonal = jnp.diagonal(gram)
     # An unknown without effect has a row of zeros: a little of the largest one on its diagonal keeps it where it is.
     floor = jnp.finfo(gram.dtype).eps * jnp.max(diagonal) + jnp.finfo(gram.dtype).tiny
     scale = damping * jnp.maximum(diagonal, floor)
-    move = cho_solve(cho_factor(gram + jnp.diag(scale)), gradient)
-    return move, jnp.sum(move * (scale * move + gradient)) / 2
+    matrix = gram + jnp.diag(scale)
+    if bounds is None:
+        move = cho_solve(cho_factor(matrix), gradient)
+        return point - move, jnp.sum(move * (scale * move + gradient)) / 2
+    lower, upper = bounds
+    least, most = point - upper, point - lower
+
+    def again(_, state):
+        """The step of what is free, what is stopped held at `held` (0 elsewhere); stops what would leave."""
+        stopped, held, _ = state
+        free = ~stopped
+        reduced = jnp.where(free[:, None] & free[None, :], matrix, jnp.diag(jnp.diagonal(matrix)))
+        right = jnp.where(free, gradient - jnp.matmul(matrix, held, precision="highest"), 0)
+        move = held + cho_solve(cho_factor(reduced), right)
+        beyond = free & ((move < least) | (move > most))
+        return stopped | beyond, jnp.where(beyond, jnp.clip(move, least, most), held), move
+
+    pushed = ((gradient > 0) & (most <= 0)) | ((gradient < 0) & (least >= 0))
+    _, _, move = jax.lax.fori_loop(0, STOPS, again, (pushed, jnp.zeros_like(point), jnp.zeros_like(point)))
+    move = jnp.clip(move, least, most)
+    # Exactly on the bound, where rounding would leave it beside.
+    trial = jnp.where(move >= most, lower, jnp.where(move <= least, upper, point - move))
+    return trial, jnp.sum(move * (gradient - jnp.matmul(gram, move, precision="highest") / 2))

@@ -12,6 +12,9 @@ import optimistix as optx
 from hshjax._typing import Array
 from hshjax.fitting._outcome import Outcome
 
+ADJOINT = optx.ImplicitAdjoint(linear_solver=lx.AutoLinearSolver(well_posed=False))
+"""A parameter without effect makes the Hessian singular: its derivative is 0, by the pseudoinverse."""
+
 
 def solve_optimistix(
     solver: optx.AbstractLeastSquaresSolver | optx.AbstractMinimiser,
@@ -20,8 +23,9 @@ def solve_optimistix(
     args: Any,
     max_steps: int,
     visit: Callable[[Array, Array], None],
+    options: dict[str, Any] | None = None,
 ) -> tuple[Any, Array, Outcome, Array]:
-    """Minimise ½|residuals(y, args)|² over the pytree y.
+    """Minimise ½|residuals(y, args)|² over the pytree y; `options` are the solver's.
 
     **Returns:** y, steps, outcome, and the loss that each of `max_steps` steps started from, 0 beyond.
     """
@@ -32,10 +36,8 @@ def solve_optimistix(
 
     kind = _RecordedMinimiser if isinstance(solver, optx.AbstractMinimiser) else _RecordedLeastSquares
     recorded = kind(solver.rtol, solver.atol, solver.norm, solver, max_steps, visit)
-    # A parameter without effect makes the Hessian singular: its derivative is 0, by the pseudoinverse.
-    adjoint = optx.ImplicitAdjoint(linear_solver=lx.AutoLinearSolver(well_posed=False))
     found = optx.least_squares(
-        with_loss, recorded, start, args, has_aux=True, max_steps=max_steps, throw=False, adjoint=adjoint
+        with_loss, recorded, start, args, options, has_aux=True, max_steps=max_steps, throw=False, adjoint=ADJOINT
     )
     outcome = Outcome.stalled
     for theirs, ours in (
@@ -45,6 +47,16 @@ def solve_optimistix(
     ):
         outcome = Outcome.where(found.result == theirs, ours, outcome)
     return found.value, found.stats["num_steps"], outcome, found.stats["curve"]
+
+
+def implicit(residuals: Callable[[Any, Any], Any], optimum: Any, args: Any) -> Any:
+    """`optimum`, the minimum of ½|residuals(y, args)|² over y, as a function of `args`."""
+    return optx.least_squares(residuals, _Settled(), optimum, args, throw=False, adjoint=ADJOINT).value
+
+
+def constant(tree: Any) -> Any:
+    """The same numbers without derivatives."""
+    return jax.tree.map(lambda leaf: jax.lax.stop_gradient(leaf) if eqx.is_inexact_array(leaf) else leaf, tree)
 
 
 def half_square(residual: Any) -> Array:
@@ -89,3 +101,23 @@ class _RecordedLeastSquares(_Recorded, optx.AbstractLeastSquaresSolver):
 
 class _RecordedMinimiser(_Recorded, optx.AbstractMinimiser):
     pass
+
+
+class _Settled(optx.AbstractLeastSquaresSolver):
+    """Ends where it starts."""
+
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Callable[[Any], Array] = eqx.field(static=True, default=optx.max_norm)
+
+    def init(self, fn, y, args, options, f_struct, aux_struct, tags):
+        return None
+
+    def step(self, fn, y, args, options, state, tags):
+        return y, None, None
+
+    def terminate(self, fn, y, args, options, state, tags):
+        return jnp.asarray(True), optx.RESULTS.successful
+
+    def postprocess(self, fn, y, aux, args, options, state, tags, result):
+        return y, None, {}

@@ -7,11 +7,13 @@ are followed to the minimum of the function itself.
 """
 
 import itertools
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax._typing import Array
 from hshjax.fitting._constraints import Family, family_gaps, family_levels
 
 NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
@@ -20,6 +22,12 @@ NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
 LARGEST = 300_000
 FOLLOWED = 300
 """Nodes a channel that are followed beside the local minima of the predictions."""
+
+RESOLVED = 1e-6
+"""Size of a stencil [radians] below which a minimum is known: to 1e-12 times the second derivative."""
+
+BLOCK = 32
+"""Channels that are looked at together: enough to make rows worth while, few enough to hold their values."""
 
 CHUNK = 2048
 """Points a call: one shape, so that little is compiled; small, so that rows keep to some MB."""
@@ -60,20 +68,14 @@ class SearchGrid:
         self, coefficients: np.ndarray, channels: list[int], rounding: np.ndarray, steps: int
     ) -> dict[int, Minima]:
         """The lowest points for each of `channels`: all that lie below 0, as far as the grid tells, and near misses."""
-        # All channels, those that need it or not: a program is compiled for every number of channels.
-        gaps = in_chunks(lambda x: family_gaps(self.family, jnp.asarray(coefficients), x), self.nodes)
-        gaps = gaps - self.sensitivity[:, None] * rounding
-        return {
-            c: follow(
-                self.family,
-                coefficients[:, c],
-                rounding[c],
-                self._promising(gaps[:, c].reshape(self.shape)),
-                self.spacing / 2,
-                steps,
-            )
-            for c in channels
-        }
+        found = {}
+        for block, columns in channel_blocks(coefficients, channels):
+            gaps = in_chunks(lambda x, columns=columns: family_gaps(self.family, columns, x), self.nodes)
+            for k, c in enumerate(block):
+                gap = gaps[:, k] - self.sensitivity * rounding[c]
+                start = self._promising(gap.reshape(self.shape))
+                found[c] = follow(self.family, coefficients[:, c], rounding[c], start, self.spacing / 2, steps)
+        return found
 
     def _promising(self, gap: np.ndarray) -> np.ndarray:
         """Points from which to descend."""
@@ -147,8 +149,8 @@ def follow(
 ) -> Minima:
     """Descend from every point to a minimum nearby, by quadratics on stencils of size `spacing` `(d,)`.
 
-    A stencil shrinks where its minimum lies within, and goes on at its size where it does not. `coefficients`
-    `(modes,)`, `rounding`: of one channel.
+    A stencil shrinks where its minimum lies within, and goes on at its size where it does not; a point whose stencil is
+    below `RESOLVED` stays. `coefficients` `(modes,)`, `rounding`: of one channel.
     """
     shifts, d = stencil(x.shape[1]), x.shape[1]
     lower, upper = family.box
@@ -160,9 +162,8 @@ def follow(
 
         return in_chunks(gap, points)
 
-    best = gaps(x)
-    spacing = np.broadcast_to(spacing, x.shape)
-    for _ in range(steps):
+    def descended(x, best, spacing):
+        """One step of all points; the last is their stencils' new size."""
         # The stencil keeps to the box: beyond the horizon there is nothing to see.
         centre = np.where(family.periodic, x, np.clip(x, lower + spacing, upper - spacing))
         points = _into(family, (centre[:, None] + shifts * spacing[:, None]).reshape(-1, d))
@@ -174,10 +175,27 @@ def follow(
         choices = np.stack([gaps(target), values[np.arange(len(x)), k], best])
         winner = np.argmin(choices, axis=0)
         x = np.where((winner == 0)[:, None], target, np.where((winner == 1)[:, None], corner, x))
-        best = np.min(choices, axis=0)
         inside = (np.max(np.abs(step), axis=1) < 0.99) | (winner == 2)
-        spacing = np.where(inside[:, None], spacing / 6, spacing)
+        return x, np.min(choices, axis=0), np.where(inside[:, None], spacing / 6, spacing)
+
+    x, best, spacing = x.copy(), gaps(x), np.tile(spacing, (len(x), 1))
+    for _ in range(steps):
+        moving = np.max(spacing, axis=1) > RESOLVED
+        if not np.any(moving):
+            break
+        x[moving], best[moving], spacing[moving] = descended(x[moving], best[moving], spacing[moving])
     return Minima(x, best)
+
+
+def channel_blocks(coefficients: np.ndarray, channels: list[int]) -> Iterator[tuple[list[int], Array]]:
+    """Blocks of `channels` and their columns `(modes, width)`: of one width, filled up by repetition.
+
+    A program is compiled for every width.
+    """
+    width = min(BLOCK, coefficients.shape[1])
+    for start in range(0, len(channels), width):
+        block = channels[start : start + width]
+        yield block, jnp.asarray(coefficients[:, np.resize(block, width)])
 
 
 def in_chunks(function, x: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from jax.core import Tracer
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._linear import EXPONENTS, Target
-from hshjax.fitting._certificate import Certificate, certify
+from hshjax.fitting._certificate import Certificate, Certifier
 from hshjax.fitting._constraints import CONSTRAINTS, families, horizon_equations, interior, vanishes
 from hshjax.fitting._exchange import Exchange
 from hshjax.fitting._least_distance import InfeasibleError
@@ -68,10 +68,12 @@ def _until_certified(
     rounds: int,
     dtype: np.dtype,
 ) -> Certificate:
+    certifier = Certifier(basis, target, constraints, dtype)
+
     def look(lift):
         kept = exchange.coefficients.astype(dtype).astype(np.float64)
         active = tuple(channel.active for channel in exchange.channels)
-        return certify(basis, kept, target, constraints, dtype, exchange.rounds, active, lift)
+        return certifier.certify(kept, exchange.rounds, active, lift)
 
     none = np.zeros(len(exchange.channels))
     while True:
