@@ -79,8 +79,12 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     def step(self, fn, y, args, options, state, tags):
         flat, unravel = ravel_pytree(y)
         residual, pushforward, aux = jax.linearize(lambda x: fn(unravel(x), args), state.trial, has_aux=True)
+        rows = jax.vmap(pushforward)(jnp.eye(flat.size, dtype=flat.dtype))
+        # Behind a barrier, or XLA fuses the flattening of `_normal_equations` into what computes the rows, and divides
+        # integers at every element: three times the time of a step in a batch.
+        residual, rows = jax.lax.optimization_barrier((residual, rows))
         loss = half_square(residual).astype(flat.dtype)
-        gram, gradient = _normal_equations(residual, jax.vmap(pushforward)(jnp.eye(flat.size, dtype=flat.dtype)))
+        gram, gradient = _normal_equations(residual, rows)
 
         first = state.count == 0
         better = first | (loss <= state.loss)
