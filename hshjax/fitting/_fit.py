@@ -16,6 +16,7 @@ from hshjax._typing import Array
 from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, to_bounded, to_free
 from hshjax.fitting._jaxopt import Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
+from hshjax.fitting._one_by_one import one_by_one
 from hshjax.fitting._optimistix import constant, half_square, implicit, solve_optimistix
 from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._result import IterativeFit, Model
@@ -158,16 +159,20 @@ def _run(
     if isinstance(solver, Jaxopt):
         l1 = sum(sparse.values(), start=jnp.zeros((), start[0].dtype))
         y, steps, outcome, curve = solver.solve(inside, start, args, (low, high), l1, max_steps, visit)
-    elif chart == boxes:
-        y, steps, outcome, curve = solve_optimistix(solver, inside, start, args, max_steps, visit)
     else:
-        options = {"lower": low, "upper": high}
-        x, steps, outcome, curve = solve_optimistix(solver, inside, start, constant(args), max_steps, visit, options)
-        # On a bound the gradient by a parameter need not vanish, but that by its free number does: there the implicit
-        # function theorem holds.
-        chart = boxes
-        y = [to_free(constant(leaf), box, inside=0.0) for leaf, box in zip(x, chart, strict=True)]
-        y = implicit(partial(residuals, chart), y, args)
+        options = {"lower": low, "upper": high} if chart != boxes else {}
+
+        def solve(parts):
+            solver, start, args, options = parts
+            return solve_optimistix(solver, inside, start, args, max_steps, visit, options)
+
+        y, steps, outcome, curve = one_by_one(solve, constant((solver, start, args, options)))
+        if chart != boxes:
+            # On a bound the gradient by a parameter need not vanish, but that by its free number does: there the
+            # implicit function theorem holds.
+            chart = boxes
+            y = [to_free(leaf, box, inside=0.0) for leaf, box in zip(y, chart, strict=True)]
+        y = implicit(partial(residuals, chart), constant(y), args)
     gradient, end = jax.grad(losses, has_aux=True)(y, chart)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
     outcome = Outcome.where(_finite(end, y), outcome, Outcome.nonfinite)

@@ -23,7 +23,7 @@ def solve_optimistix(
     args: Any,
     max_steps: int,
     visit: Callable[[Array, Array], None],
-    options: dict[str, Any] | None = None,
+    options: dict[str, Any],
 ) -> tuple[Any, Array, Outcome, Array]:
     """Minimise ½|residuals(y, args)|² over the pytree y; `options` are the solver's.
 
