@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.tree_util import DictKey, GetAttrKey, KeyPath, SequenceKey, keystr
 
 from hshjax._typing import Array, Bool, Real
@@ -100,9 +101,12 @@ def to_free(x: Real, box: Box, inside: float = INSIDE) -> Real:
     return jnp.sqrt(rise * (rise + 2))
 
 
-def outside(x: Real, box: Box) -> Bool[Array, "..."]:
-    """Where a parameter is not in its box; a bound that a float32 cannot hold is met by the float32 nearest to it."""
-    low, high = (jnp.asarray(end, x.dtype) for end in (box.low, box.high))
+def outside(x: Any, box: Box) -> Any:
+    """Where a parameter is not in its box, for arrays of jax and of numpy.
+
+    A bound that a float32 cannot hold is met by the float32 nearest to it.
+    """
+    low, high = (np.asarray(end, x.dtype) for end in (box.low, box.high))
     return (x < low) | (x > high)
 
 

@@ -230,10 +230,8 @@ def _check_finite(leaves: list[Array], boxes: Sequence[Box]) -> None:
 def check_bounds(leaves: list[Array], boxes: Sequence[Box]) -> None:
     """ValueError for a start outside its box, where values can be seen; NaN is in none and passes."""
     for leaf, box in zip(leaves, boxes, strict=True):
-        if not isinstance(leaf, Tracer) and np.any(outside(leaf, box)):
-            raise ValueError(
-                f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {np.asarray(leaf)}"
-            )
+        if not isinstance(leaf, Tracer) and np.any(outside(value := np.asarray(leaf), box)):
+            raise ValueError(f"the start of {box.name} lies outside its bounds [{box.low:g}, {box.high:g}]: {value}")
 
 
 def check_end(found: IterativeFit) -> IterativeFit:

@@ -75,6 +75,7 @@ def _guesses(free: Any, held: Any, samples: Samples, mapping: AbstractMapping, c
         lambda rho: mapping(rho, samples.wi, samples.wo), (samples.value,), (jnp.ones_like(samples.value),)
     )
     rows = slope * jnp.sqrt(samples.weight)[:, None]
+    data = rows * samples.value
 
     def assemble(leaves):
         typed = [leaf.astype(unknown.dtype) for leaf, unknown in zip(leaves, unknowns, strict=True)]
@@ -83,6 +84,7 @@ def _guesses(free: Any, held: Any, samples: Samples, mapping: AbstractMapping, c
     def solve(candidate):
         shapes = iter(candidate)
         leaves = [jnp.full(u.shape, 1 if u.amplitude else next(shapes), dtype) for u in unknowns]
+        loss = None
         for group in _groups(unknowns):
 
             def predicted(values, leaves=tuple(leaves), group=group):
@@ -92,10 +94,13 @@ def _guesses(free: Any, held: Any, samples: Samples, mapping: AbstractMapping, c
 
             rest = predicted(jnp.zeros(len(group), dtype))
             columns = jax.vmap(predicted)(jnp.eye(len(group), dtype=dtype)) - rest[None]
-            amplitudes = _box_least_squares(columns, rows * samples.value - rest, [unknowns[k] for k in group])
+            amplitudes, loss = _box_least_squares(columns, rest, data, [unknowns[k] for k in group])
             for k, amplitude in zip(group, amplitudes, strict=True):
                 leaves[k] = amplitude
-        return leaves, half_square(misfit(assemble(leaves)))
+        # Of many materials on the same directions the columns are the same, the misfit is not: linear, it is known.
+        if loss is None or not mapping.linear:
+            loss = half_square(misfit(assemble(leaves)))
+        return leaves, loss
 
     points = _spread(sum(not u.amplitude for u in unknowns), max(FEWEST_CANDIDATES, CANDIDATES_PER_GUESS * count))
     leaves, losses = jax.lax.map(solve, jnp.asarray(_in_ranges(points, unknowns), dtype))
@@ -161,12 +166,20 @@ def _groups(unknowns: list[_Unknown]) -> list[list[int]]:
 
 
 def _box_least_squares(
-    columns: Float[Array, "amplitudes n channels"], target: Float[Array, "n channels"], amplitudes: list[_Unknown]
-) -> list[Array]:
-    """The amplitudes in their boxes that minimise |Σ x columns - target|², by coordinate descent on the Gram matrix."""
-    gram = jnp.einsum("anc,bnc->abc", columns, columns, precision="highest")
-    right = jnp.einsum("anc,nc->ac", columns, target, precision="highest")
-    channels = target.shape[1]
+    columns: Float[Array, "amplitudes n channels"],
+    rest: Float[Array, "n channels"],
+    data: Float[Array, "n channels"],
+    amplitudes: list[_Unknown],
+) -> tuple[list[Array], Float[Array, ""]]:
+    """The amplitudes x in their boxes that minimise ½|Σ x columns + rest - data|², and that minimum.
+
+    By coordinate descent on the Gram matrix.
+    """
+    every = jnp.concatenate([columns, rest[None]])
+    grams = jnp.einsum("anc,bnc->abc", every, every, precision="highest")
+    rights = jnp.einsum("anc,nc->ac", every, data, precision="highest")
+    gram, right = grams[:-1, :-1], rights[:-1] - grams[:-1, -1]
+    channels = data.shape[1]
 
     def sweep(_, x):
         for a, unknown in enumerate(amplitudes):
@@ -180,7 +193,11 @@ def _box_least_squares(
         return x
 
     x = jax.lax.fori_loop(0, SWEEPS, sweep, jnp.zeros_like(right))
-    return [x[a] if u.shape == (channels,) else jnp.full(u.shape, x[a, 0]) for a, u in enumerate(amplitudes)]
+    whole = jnp.concatenate([x, jnp.ones((1, channels), x.dtype)])
+    product = jnp.sum(grams * whole[None], axis=1)  # Gram matrix times x, by channel
+    loss = (jnp.sum(data * data) + jnp.sum(whole * (product - 2 * rights))) / 2
+    found = [x[a] if u.shape == (channels,) else jnp.full(u.shape, x[a, 0]) for a, u in enumerate(amplitudes)]
+    return found, loss
 
 
 def _spread(dimensions: int, count: int) -> np.ndarray:

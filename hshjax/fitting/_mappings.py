@@ -4,6 +4,7 @@ Every mapping is odd, f(-x) = -f(x): a linear model may pass through negative va
 """
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,7 +14,12 @@ from hshjax.brdfs._base import floating
 
 
 class AbstractMapping(eqx.Module):
-    """A mapping of BRDF values, applied to model and samples alike before they are subtracted."""
+    """A mapping of BRDF values, applied to model and samples alike before they are subtracted.
+
+    `linear`: whether it is linear in ρ.
+    """
+
+    linear: ClassVar[bool] = False
 
     @abc.abstractmethod
     def __call__(self, rho: Float[Array, "n channels"], wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Real:
@@ -23,12 +29,16 @@ class AbstractMapping(eqx.Module):
 class Identity(AbstractMapping):
     """ρ itself: bright highlights decide."""
 
+    linear = True
+
     def __call__(self, rho, wi, wo):
         return rho
 
 
 class CosineWeighted(AbstractMapping):
     """ρ z_i z_o, what leaves a surface under a light: grazing directions count as little as they are seen."""
+
+    linear = True
 
     def __call__(self, rho, wi, wo):
         return rho * _cosines(wi, wo)

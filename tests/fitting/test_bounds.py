@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import pytest
 
 from hshjax.brdfs import GGX, CookTorrance, Lambert
-from hshjax.fitting._bounds import Box, declared, on_bound, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, to_bounded, to_free
 from tests.helpers import DTYPE, assert_close
 
 BOXES = {
