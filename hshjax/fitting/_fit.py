@@ -55,9 +55,9 @@ def fit(
     `Jaxopt`), else by a smooth transformation. On a bound that has no slope: a start within 1e-5 of the box from a
     bound is then moved inside to there.
 
-    Runs under jit and vmap (there `throw=False`, lest one bad start end all). The fitted model is differentiable in
-    what is held (data, weights, parts that are not trainable) by the implicit function theorem at the optimum, not in
-    the start.
+    Runs under jit and vmap: there `throw=False`, lest one bad start end all; on a CPU one fit after another. The fitted
+    model is differentiable in what is held (data, weights, parts that are not trainable) by the implicit function
+    theorem at the optimum, not in the start.
 
     **Raises:** ValueError for an objective that is no mapping of terms, a term that is not of floating arrays or that
     the solver cannot take, nothing trainable, a parameter outside its bounds. RuntimeError for a fit that did not

@@ -1,4 +1,4 @@
-"""Fits from many starts at once: a few steps from all of them, then the best to its end."""
+"""Fits from many starts: a few steps from all of them, then the best to its end."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -32,7 +32,7 @@ def multi_start(
       `jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)`.
     - `objective`, `trainable`: as for `fit`.
     - `solver`: as for `fit`; by default `LevenbergMarquardt`, with the tolerances of the default of `fit`.
-    - `screening_steps`: steps from every start, at least 1. All are one batch, which runs as long as its slowest.
+    - `screening_steps`: steps from every start, at least 1.
     - `max_steps`: limit of steps of the best one after that, at least 1.
     - `throw`: raise where the best one did not converge.
 
