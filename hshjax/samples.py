@@ -77,13 +77,14 @@ class Samples(eqx.Module):
     def cleared(self) -> "Samples":
         """The same samples, with what is masked replaced: black, in the direction of the normal, at weight exactly 0.
 
-        What masks a sample may be NaN in its values and directions; 0 times NaN is NaN, and so are its derivatives.
+        What is masked may be NaN in its values and directions; 0 times NaN is NaN, and so are its derivatives. They are
+        no longer the nodes of an exact rule.
         """
         used = (self.weight > 0)[:, None]
         pole = jnp.zeros_like(self.wi).at[:, 2].set(1)
         wi, wo = jnp.where(used, self.wi, pole), jnp.where(used, self.wo, pole)
         value, weight = jnp.where(used, self.value, 0), jnp.where(used[:, 0], self.weight, 0)
-        return Samples(wi, wo, value, weight, self.degree, self.isotropic)
+        return Samples(wi, wo, value, weight, None, self.isotropic)
 
     def reweighted(self, weight: Float[Array, " n"]) -> "Samples":
         """The same samples under other weights: no longer the nodes of an exact rule."""

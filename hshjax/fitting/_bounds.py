@@ -82,7 +82,8 @@ def path_name(path: KeyPath) -> str:
 def to_bounded(u: Real, box: Box) -> Real:
     """The parameter that a free number stands for."""
     if box.bounded == 2:
-        return box.low + box.size / 2 * (1 + jnp.sin(u))
+        # Rounding may carry the end of the sine beyond the bound, where a second fit would not start.
+        return jnp.clip(box.low + box.size / 2 * (1 + jnp.sin(u)), *_ends(u, box))
     rise = u * u / (1 + jnp.sqrt(1 + u * u))  # sqrt(1 + u²) - 1, without cancellation
     if math.isfinite(box.low):
         return box.low + rise
@@ -96,7 +97,7 @@ def to_free(x: Real, box: Box, inside: float = INSIDE) -> Real:
     margin = inside * box.size
     x = jnp.clip(x, box.low + margin, box.high - margin)
     if box.bounded == 2:
-        return jnp.arcsin(2 * (x - box.low) / box.size - 1)
+        return jnp.arcsin(jnp.clip(2 * (x - box.low) / box.size - 1, -1, 1))
     rise = x - box.low if math.isfinite(box.low) else box.high - x
     return jnp.sqrt(rise * (rise + 2))
 
@@ -106,8 +107,19 @@ def outside(x: Any, box: Box) -> Any:
 
     A bound that a float32 cannot hold is met by the float32 nearest to it.
     """
-    low, high = (np.asarray(end, x.dtype) for end in (box.low, box.high))
+    low, high = _ends(x, box)
     return (x < low) | (x > high)
+
+
+def pushed_out(x: Real, gradient: Real, box: Box) -> Bool[Array, "..."]:
+    """Where a parameter is on a bound, and a loss of this gradient would fall beyond it."""
+    low, high = _ends(x, box)
+    return ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
+
+
+def _ends(x: Any, box: Box) -> tuple[np.ndarray, np.ndarray]:
+    """The bounds in the dtype of x."""
+    return np.asarray(box.low, x.dtype), np.asarray(box.high, x.dtype)
 
 
 def nan_outside(x: Real, box: Box) -> Real:

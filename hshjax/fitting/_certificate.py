@@ -133,7 +133,8 @@ class _Watch:
         for block, columns in channel_blocks(coefficients, changed):
             at_points = self._at(columns, self.x)
             for k, c in enumerate(block):
-                self.seen[c] = (coefficients[:, c], *self._descended(coefficients[:, c], at_points[:, :, k]))
+                column = coefficients[:, c].copy()  # the caller may change its own
+                self.seen[c] = (column, *self._descended(column, at_points[:, :, k]))
         _, figure, lowest, points = zip(*(self.seen[c] for c in range(coefficients.shape[1])), strict=True)
         return Lowest(np.array(figure), np.array(lowest), list(points))
 

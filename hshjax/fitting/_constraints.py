@@ -273,6 +273,12 @@ def family_gaps(
 
 
 @partial(jax.jit, static_argnums=0)
+def family_margin(family: Family, column: Array, rounding: Array, x: Float[Array, "n d"]) -> Float[Array, " n"]:
+    """row(x) · c - floor(x) - rounding sensitivity(x) of one channel's coefficients `(modes,)`."""
+    return family.sums(column[:, None], x)[:, 0] - family.floor(x) - rounding * family.sensitivity(x)
+
+
+@partial(jax.jit, static_argnums=0)
 def family_levels(family: Family, x: Float[Array, "n d"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Floor and sensitivity."""
     return family.floor(x), family.sensitivity(x)

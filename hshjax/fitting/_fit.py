@@ -13,7 +13,7 @@ import optimistix as optx
 from jax.core import Tracer
 
 from hshjax._typing import Array
-from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, pushed_out, to_bounded, to_free
 from hshjax.fitting._jaxopt import Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
 from hshjax.fitting._one_by_one import one_by_one
@@ -42,7 +42,7 @@ def fit(
     - `model`: any Module or pytree of them: a BRDF, lights, normals, a scene. Its values are the start.
     - `objective`: terms by name, weighted by `*`: `{"data": SampleMisfit(samples), "swap": 10.0 * Reciprocity(rule)}`.
     - `solver`: a least-squares solver or minimiser of optimistix (`OptaxMinimiser` wraps optax), or `Jaxopt`. By
-      default `LevenbergMarquardt` with tolerances of 1e-8 in float64 and 1e-4 in float32. More unknowns than some
+      default `LevenbergMarquardt` with relative tolerances of 1e-8 in float64, 1e-4 in float32. More unknowns than some
       thousands (normals of an image, say) ask for a solver without a Jacobian: `optimistix.LBFGS`, `Jaxopt`.
     - `trainable`: what is fitted: None for every floating array, a function that picks parts,
       `lambda scene: (scene.brdf.slope, scene.lights)`, or a pytree of booleans. The rest is held.
@@ -55,9 +55,9 @@ def fit(
     `Jaxopt`), else by a smooth transformation. On a bound that has no slope: a start within 1e-5 of the box from a
     bound is then moved inside to there.
 
-    Runs under jit and vmap: there `throw=False`, lest one bad start end all; on a CPU one fit after another. The fitted
-    model is differentiable in what is held (data, weights, parts that are not trainable) by the implicit function
-    theorem at the optimum, not in the start.
+    Runs under jit and vmap: there `throw=False`, lest one bad start end all; on a CPU one fit after another, but for
+    `Jaxopt`. The fitted model is differentiable in what is held (data, weights, parts that are not trainable) by the
+    implicit function theorem at the optimum, not in the start.
 
     **Raises:** ValueError for an objective that is no mapping of terms, a term that is not of floating arrays or that
     the solver cannot take, nothing trainable, a parameter outside its bounds. RuntimeError for a fit that did not
@@ -81,8 +81,8 @@ def default_tolerance(free: Any) -> float:
 
 
 def default_solver(free: Any) -> LevenbergMarquardt:
-    """For the dtype of what is trainable."""
-    return LevenbergMarquardt(rtol=default_tolerance(free), atol=default_tolerance(free))
+    """For the dtype of what is trainable; nearly without absolute tolerance, which would depend on units."""
+    return LevenbergMarquardt(rtol=default_tolerance(free), atol=default_tolerance(free) ** 2)
 
 
 def chosen(model: Any, trainable: Any) -> Any:
@@ -159,6 +159,7 @@ def _run(
     if isinstance(solver, Jaxopt):
         l1 = sum(sparse.values(), start=jnp.zeros((), start[0].dtype))
         y, steps, outcome, curve = solver.solve(inside, start, args, (low, high), l1, max_steps, visit)
+        x = parameters(y, chart)
     else:
         options = {"lower": low, "upper": high} if chart != boxes else {}
 
@@ -166,28 +167,31 @@ def _run(
             solver, start, args, options = parts
             return solve_optimistix(solver, inside, start, args, max_steps, visit, options)
 
-        y, steps, outcome, curve = one_by_one(solve, constant((solver, start, args, options)))
+        y, steps, outcome, curve = one_by_one(solve, (solver, start, args, options))
+        found = parameters(y, chart)
+        # On a bound the gradient by a parameter need not vanish, but that by its free number does: there the implicit
+        # function theorem holds. The values stay as they were found, to the last digit.
         if chart != boxes:
-            # On a bound the gradient by a parameter need not vanish, but that by its free number does: there the
-            # implicit function theorem holds.
-            chart = boxes
-            y = [to_free(leaf, box, inside=0.0) for leaf, box in zip(y, chart, strict=True)]
-        y = implicit(partial(residuals, chart), constant(y), args)
-    gradient, end = jax.grad(losses, has_aux=True)(y, chart)
+            y = [to_free(leaf, box, inside=0.0) for leaf, box in zip(found, boxes, strict=True)]
+        y = implicit(partial(residuals, boxes), constant(y), args)
+        x = [constant(a) + (b - constant(b)) for a, b in zip(found, parameters(y, boxes), strict=True)]
+    if keeps_boxes(solver):
+        gradient, end = jax.grad(losses, has_aux=True)(x, unbounded)
+        gradient = [jnp.where(pushed_out(a, g, box), 0, g) for a, g, box in zip(x, gradient, boxes, strict=True)]
+    else:
+        gradient, end = jax.grad(losses, has_aux=True)(y, chart)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
-    outcome = Outcome.where(_finite(end, y), outcome, Outcome.nonfinite)
+    outcome = Outcome.where(_finite(end, x), outcome, Outcome.nonfinite)
     outcome = Outcome.where(_finite(start_losses, start), outcome, Outcome.nonfinite_start)
     return IterativeFit(
-        model=assemble(y, held, chart),
+        model=eqx.combine(jax.tree.unflatten(structure, x), held),
         result=outcome,
         steps=steps,
         losses=end,
         start_losses=start_losses,
         curve=curve,
         gradient_norm=jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0) for part in gradient])),
-        on_bound={
-            box.name: on_bound(x, box) for x, box in zip(parameters(y, chart), boxes, strict=True) if box.bounded
-        },
+        on_bound={box.name: on_bound(leaf, box) for leaf, box in zip(x, boxes, strict=True) if box.bounded},
     )
 
 

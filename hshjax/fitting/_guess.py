@@ -48,7 +48,7 @@ def initial_guesses(
       those of its linearisation about the samples; the order of the guesses is by the true misfit.
     - `trainable`: as for `fit`: what is guessed. The rest keeps the template's value.
 
-    `OrenNayar(full=True)` is quadratic in its albedo, and is taken for the straight line between albedo 0 and 1. Where
+    `OrenNayar(full=True)` is quadratic in its albedo: it is taken, and judged, for the straight line from 0 to 1. Where
     amplitudes multiply each other, as in `scale * Lambert(albedo)`, the samples tell their product only: the inner ones
     are solved for with the outer at 1, then the outer ones, which so stay at 1 unless an inner one ended on a bound, or
     has fewer channels. A fit should hold one of the two.
@@ -97,8 +97,9 @@ def _guesses(free: Any, held: Any, samples: Samples, mapping: AbstractMapping, c
             amplitudes, loss = _box_least_squares(columns, rest, data, [unknowns[k] for k in group])
             for k, amplitude in zip(group, amplitudes, strict=True):
                 leaves[k] = amplitude
-        # Of many materials on the same directions the columns are the same, the misfit is not: linear, it is known.
-        if loss is None or not mapping.linear:
+        # Of many materials on the same directions the columns are the same, the misfit is not. A linear one is known,
+        # as a difference of large numbers: for that float32 has not the digits.
+        if loss is None or not mapping.linear or dtype != jnp.float64:
             loss = half_square(misfit(assemble(leaves)))
         return leaves, loss
 

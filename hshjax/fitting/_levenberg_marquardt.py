@@ -27,6 +27,7 @@ class _State(eqx.Module):
     predicted: Float[Array, ""]
     damping: Float[Array, ""]
     growth: Float[Array, ""]
+    size: Float[Array, ""]
     count: Int[Array, ""]
     done: Bool[Array, ""]
     aux: Any
@@ -43,7 +44,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     residuals x unknowns.
 
     - `rtol`, `atol`: it has converged when a step is below atol + rtol |y| (largest element) and changes the loss by at
-      most atol + rtol loss.
+      most atol + rtol loss; or when the loss is flat to rounding and steps do not become smaller any more.
     - `damping`: the first λ.
 
     Given `options={"lower": ..., "upper": ...}`, of the structure of y, it keeps y between them. An unknown on a bound
@@ -71,6 +72,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             predicted=number + 1,
             damping=number + self.damping,
             growth=number + 2,
+            size=number + jnp.inf,
             count=jnp.asarray(0),
             done=jnp.asarray(False),
             aux=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), aux_struct),
@@ -91,10 +93,14 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         # A step that was stopped at bounds may promise nothing; so does one from an optimum.
         promising = state.predicted > 0
         gain = jnp.where(promising, (state.loss - loss) / jnp.where(promising, state.predicted, 1), 0)
-        small = self.norm(state.trial - flat) <= self.atol + self.rtol * self.norm(flat)
-        level = jnp.abs(state.loss - loss) <= self.atol + self.rtol * state.loss
+        size = self.norm(state.trial - flat)
+        small = size <= self.atol + self.rtol * self.norm(flat)
+        change = jnp.abs(state.loss - loss)
+        level = change <= self.atol + self.rtol * state.loss
+        # The loss is flat to rounding, and steps do not become smaller: they are rounding themselves.
+        lost = (change <= 4 * jnp.finfo(flat.dtype).eps * state.loss) & (size > state.size / 2)
         # From a start without a finite loss no step leads anywhere.
-        done = jnp.where(first, ~jnp.isfinite(loss), small & level)
+        done = jnp.where(first, ~jnp.isfinite(loss), (small & level) | lost)
 
         def newer(new, old):
             return jax.tree.map(lambda new, old: jnp.where(better, new, old), new, old)
@@ -113,6 +119,7 @@ class LevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             predicted=predicted,
             damping=damping,
             growth=jnp.where(better, 2, 2 * state.growth),
+            size=jnp.where(first, jnp.inf, size),
             count=state.count + 1,
             done=done,
             aux=newer(aux, state.aux),
@@ -161,18 +168,20 @@ def _damped_step(
     lower, upper = bounds
     least, most = point - upper, point - lower
 
-    def again(_, state):
+    def again(state):
         """The step of what is free, what is stopped held at `held` (0 elsewhere); stops what would leave."""
-        stopped, held, _ = state
+        stopped, held, _, _, count = state
         free = ~stopped
         reduced = jnp.where(free[:, None] & free[None, :], matrix, jnp.diag(jnp.diagonal(matrix)))
         right = jnp.where(free, gradient - jnp.matmul(matrix, held, precision="highest"), 0)
         move = held + cho_solve(cho_factor(reduced), right)
         beyond = free & ((move < least) | (move > most))
-        return stopped | beyond, jnp.where(beyond, jnp.clip(move, least, most), held), move
+        return stopped | beyond, jnp.where(beyond, jnp.clip(move, least, most), held), move, jnp.any(beyond), count + 1
 
     pushed = ((gradient > 0) & (most <= 0)) | ((gradient < 0) & (least >= 0))
-    _, _, move = jax.lax.fori_loop(0, STOPS, again, (pushed, jnp.zeros_like(point), jnp.zeros_like(point)))
+    still = jnp.zeros_like(point)
+    begin = (pushed, still, still, jnp.asarray(True), jnp.asarray(0))
+    move = jax.lax.while_loop(lambda state: state[3] & (state[4] < STOPS), again, begin)[2]
     move = jnp.clip(move, least, most)
     # Exactly on the bound, where rounding would leave it beside.
     trial = jnp.where(move >= most, lower, jnp.where(move <= least, upper, point - move))

@@ -16,7 +16,7 @@ from hshjax.brdfs._base import floating
 class AbstractMapping(eqx.Module):
     """A mapping of BRDF values, applied to model and samples alike before they are subtracted.
 
-    `linear`: whether it is linear in ρ.
+    `linear`: whether it is linear in ρ; to be said by every mapping that is.
     """
 
     linear: ClassVar[bool] = False

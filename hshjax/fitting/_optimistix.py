@@ -25,7 +25,7 @@ def solve_optimistix(
     visit: Callable[[Array, Array], None],
     options: dict[str, Any],
 ) -> tuple[Any, Array, Outcome, Array]:
-    """Minimise ½|residuals(y, args)|² over the pytree y; `options` are the solver's.
+    """Minimise ½|residuals(y, args)|² over the pytree y; `options` are the solver's. No derivative: see `implicit`.
 
     **Returns:** y, steps, outcome, and the loss that each of `max_steps` steps started from, 0 beyond.
     """
@@ -37,7 +37,7 @@ def solve_optimistix(
     kind = _RecordedMinimiser if isinstance(solver, optx.AbstractMinimiser) else _RecordedLeastSquares
     recorded = kind(solver.rtol, solver.atol, solver.norm, solver, max_steps, visit)
     found = optx.least_squares(
-        with_loss, recorded, start, args, options, has_aux=True, max_steps=max_steps, throw=False, adjoint=ADJOINT
+        with_loss, recorded, start, args, options, has_aux=True, max_steps=max_steps, throw=False
     )
     outcome = Outcome.stalled
     for theirs, ours in (

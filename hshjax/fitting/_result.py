@@ -53,8 +53,8 @@ class IterativeFit(eqx.Module, Generic[Model]):
     - `model`: the fitted model. - `result`: how the fit ended, `message` in words. - `steps`: how many were taken.
     - `losses`, `start_losses`: by the name of the term, at the end and at the start.
     - `curve`: `(max_steps + 1,)`, the whole loss at the start and after every step; beyond the last one it stays.
-    - `gradient_norm`: largest derivative of the smooth part of the loss by a free number (a bounded parameter after its
-      transformation): 0 at an optimum, but with `Sparsity` or on the face of a box that the solver keeps.
+    - `gradient_norm`: largest derivative of the smooth part of the loss by a parameter that its bound does not hold (by
+      the free number of a bounded parameter, where the solver moves those): 0 at an optimum, but with `Sparsity`.
     - `on_bound`: by the name of a bounded field, where it has ended on a bound.
     """
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array
-from hshjax.fitting._constraints import Family, family_gaps, family_levels
+from hshjax.fitting._constraints import Family, family_gaps, family_levels, family_margin
 
 NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
 """Densities of the search grid; the first that keeps it below `LARGEST` nodes is taken."""
@@ -154,13 +154,10 @@ def follow(
     """
     shifts, d = stencil(x.shape[1]), x.shape[1]
     lower, upper = family.box
-    column = jnp.asarray(coefficients[:, None])
+    column, allowance = jnp.asarray(coefficients), jnp.asarray(rounding, jnp.float64)
 
     def gaps(points):
-        def gap(p):
-            return family_gaps(family, column, p)[:, 0] - rounding * family_levels(family, p)[1]
-
-        return in_chunks(gap, points)
+        return in_chunks(lambda p: family_margin(family, column, allowance, p), points)
 
     def descended(x, best, spacing):
         """One step of all points; the last is their stencils' new size."""

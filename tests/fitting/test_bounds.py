@@ -5,10 +5,11 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from hshjax.brdfs import GGX, CookTorrance, Lambert
-from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, to_bounded, to_free
 from tests.helpers import DTYPE, assert_close
 
 BOXES = {
@@ -46,9 +47,9 @@ def test_a_start_on_a_bound_is_moved_to_where_there_is_a_slope(name):
 def test_what_is_outside_is_no_number():
     for name in ("two-sided", "lower", "upper"):
         box = BOXES[name]
-        for outside in (box.low - 0.1, box.high + 0.1):
-            if math.isfinite(outside):
-                assert jnp.isnan(nan_outside(jnp.asarray(outside, DTYPE), box))
+        for beyond in (box.low - 0.1, box.high + 0.1):
+            if math.isfinite(beyond):
+                assert jnp.isnan(nan_outside(jnp.asarray(beyond, DTYPE), box))
 
 
 @pytest.mark.parametrize("name", ["two-sided", "lower", "upper"])
@@ -72,3 +73,15 @@ def test_boxes_follow_the_leaves_that_are_left():
     brdf = CookTorrance(0.2, 0.4, 0.25)
     part = eqx.tree_at(lambda b: b.specular, brdf, None)
     assert [box.name for box in declared(part)] == ["diffuse", "slope"]
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (1e-3, 1.0), (0.25, 4.0), (0.0, 1e3), (-1.43, 3.27)])
+def test_a_bound_goes_to_its_free_number_and_back(low, high):
+    """Under jit, where quotients round differently: neither NaN, nor outside."""
+    box = Box("x", low, high)
+    ends = jnp.asarray([low, high], DTYPE)
+    there = jax.jit(lambda x: to_free(x, box, inside=0.0))(ends)
+    assert_close(there, [-math.pi / 2, math.pi / 2], tolerance=10 * float(jnp.finfo(DTYPE).eps) ** 0.5)
+    back = jax.jit(lambda u: to_bounded(u, box))(there)
+    assert_close(back, ends, tolerance=10 * float(jnp.finfo(DTYPE).eps) * max(1, high))
+    assert not np.any(outside(back, box))

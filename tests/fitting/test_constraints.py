@@ -9,6 +9,7 @@ from scipy.optimize import minimize
 from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike
 from hshjax.brdfs import GGX, CookTorrance, Lambert, Ward
 from hshjax.fitting import NORMS, Outcome, project
+from hshjax.fitting._certificate import Certifier
 from hshjax.fitting._least_distance import InfeasibleError, least_distance
 from hshjax.geometry import direction
 from hshjax.io import read_rgl
@@ -117,6 +118,29 @@ def test_constraints_that_hold_anyway_change_nothing(norm):
     assert_close(fit.certificate.lift, [0, 0], tolerance=0)
     assert free.certificate is None
     assert free.result == Outcome.converged
+
+
+def test_what_has_changed_is_looked_at_again_and_only_that(monkeypatch):
+    certifier = Certifier(BASIS, "brdf", BOTH, np.dtype(np.float64))
+    rng = np.random.default_rng(0)
+    first = rng.normal(size=(BASIS.count, 40)) / 100  # more channels than one block holds
+    first[0] += 1
+    second = first.copy()
+    second[:, [3, 35]] *= 1.1
+    nothing = tuple([0] * 40), np.zeros(40)
+    with jax.enable_x64(True):
+        certifier.certify(first, 1, *nothing)
+        looked = []
+        descend = certifier.values._descended
+        monkeypatch.setattr(
+            certifier.values, "_descended", lambda column, at: looked.append(column) or descend(column, at)
+        )
+        again, _ = certifier.certify(second, 2, *nothing)
+        anew, _ = Certifier(BASIS, "brdf", BOTH, np.dtype(np.float64)).certify(second, 2, *nothing)
+    np.testing.assert_array_equal(looked, second[:, [3, 35]].T)
+    # The same columns in blocks of other neighbours: the products round differently.
+    assert_close(again.smallest, anew.smallest)
+    assert_close(again.albedo, anew.albedo)
 
 
 # --- certified fits ---------------------------------------------------------------------------------------------------

@@ -11,8 +11,9 @@ import optimistix as optx
 import pytest
 
 from hshjax.bases import HSH, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike, to_matrix
-from hshjax.brdfs import CookTorrance, Lambert, LinearBRDF
+from hshjax.brdfs import GGX, CookTorrance, Lambert, LinearBRDF
 from hshjax.fitting import (
+    CosineWeighted,
     Jaxopt,
     LevenbergMarquardt,
     Outcome,
@@ -118,6 +119,77 @@ def test_a_fit_that_ends_on_a_bound_says_so():
     assert_close(found.model.albedo, 1.0)
     assert found.on_bound == {"albedo": True}
     assert found.message == "converged; on a bound: albedo" or not X64
+
+
+BEYOND = Samples(CLEAN.wi, CLEAN.wo, 3 * GGX(1.0, 0.3)(CLEAN.wi, CLEAN.wo), CLEAN.weight)
+"""Three times what a lobe can be."""
+
+
+def test_a_fit_ends_on_the_upper_bound_of_a_box_that_does_not_begin_at_0():
+    """Half a lobe of roughness 1 and less towards the normal: no roughness in [0.001, 1] is rough enough."""
+    z = CLEAN.wi[:, 2:] * CLEAN.wo[:, 2:]
+    flat = Samples(CLEAN.wi, CLEAN.wo, GGX(0.4, 1.0)(CLEAN.wi, CLEAN.wo) * (1.2 - z), CLEAN.weight)
+    found = fit(GGX(0.3, 0.6), {"data": SampleMisfit(flat)}, throw=X64)
+    assert found.model.roughness == 1
+    assert found.on_bound["roughness"]
+    again = fit(found.model, {"data": SampleMisfit(flat)}, throw=X64)  # it is in its own box
+    assert_close(again.model.specular, found.model.specular, tolerance=1e-6 if X64 else 1e-3)
+
+
+class Difference(AbstractTerm):
+    """To something that the term closes over."""
+
+    function: Callable = eqx.field(static=True)
+
+    def __call__(self, model):
+        return self.function(model)
+
+
+def test_what_a_term_closes_over_is_mapped_and_differentiated():
+    def end(value):
+        terms = {"data": Difference(lambda model: jnp.exp(model.albedo) - value)}
+        return fit(Lambert(0.5), terms, throw=False).model.albedo
+
+    values = jnp.asarray([1.2, 1.5, 2.0], DTYPE)
+    tolerance = 1e-7 if X64 else 1e-3
+    assert_close(jax.vmap(end)(values), jnp.log(values), tolerance=tolerance)
+    assert_close(jax.vmap(jax.grad(end))(values), 1 / values, tolerance=tolerance)
+    assert_close(jax.jit(jax.grad(end))(values[0]), 1 / values[0], tolerance=tolerance)
+
+
+def test_the_gradient_tells_a_bound_that_is_left_from_one_that_holds():
+    """At albedo 0, one step before the end: the loss falls towards the inside."""
+    found = fit(Lambert(0.0), {"data": SampleMisfit(BEYOND)}, max_steps=1, throw=False)
+    assert found.gradient_norm > 1e-2
+    assert fit(Lambert(0.0), {"data": SampleMisfit(BEYOND)}, throw=False).gradient_norm == 0
+
+
+def test_a_fit_to_a_bound_takes_no_more_steps_than_another():
+    """The lobe is pushed beyond specular 1: no slope of a transformation vanishes on the way."""
+    objective = {"data": SampleMisfit(BEYOND, CosineWeighted())}
+    found = fit(Lambert(0.2) + GGX(0.5, 0.3), objective, throw=X64, trainable=lambda b: (b.a, b.b.specular))
+    assert found.on_bound["b.specular"]
+    assert found.model.b.specular == 1
+    assert found.gradient_norm < 1e-6 or not X64
+    assert found.steps < 20
+    # From the bound itself there is a way back.
+    assert fit(found.model, {"data": SampleMisfit(CLEAN)}, throw=False).model.b.specular < 1
+
+
+@pytest.mark.skipif(not X64, reason="finite differences")
+def test_the_derivative_of_a_fit_to_a_bound():
+    """What ends on its bound stays there; the rest follows the data."""
+
+    def end(scale):
+        data = Samples(CLEAN.wi, CLEAN.wo, scale / 3 * BEYOND.value, CLEAN.weight)
+        found = fit(Lambert(0.2) + GGX(0.5, 0.5), {"data": SampleMisfit(data, CosineWeighted())}, throw=False)
+        return jnp.stack([found.model.a.albedo, found.model.b.specular, found.model.b.roughness])
+
+    slope = jax.jacfwd(end)(3.0)
+    step = 1e-4
+    assert abs(slope[1]) < 1e-30
+    # Fits end at 1e-8 of the optimum, and 1e-4 is small against the curvature.
+    assert_close(slope, (end(3 + step) - end(3 - step)) / (2 * step), tolerance=1e-5)
 
 
 def test_only_what_is_trainable_moves():

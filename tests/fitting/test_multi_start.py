@@ -27,6 +27,7 @@ from hshjax.fitting import (
     multi_start,
 )
 from hshjax.fitting._guess import _best_distinct, _spread
+from hshjax.fitting._mappings import AbstractMapping
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, X64, assert_close, slow_unless
@@ -47,6 +48,11 @@ def first(guesses):
 
 def losses(guesses, samples, mapping=COSINE_WEIGHTED):
     return eqx.filter_vmap(lambda model: jnp.sum(SampleMisfit(samples, mapping)(model) ** 2) / 2)(guesses)
+
+
+class NotKnownToBeLinear(AbstractMapping):
+    def __call__(self, rho, wi, wo):
+        return COSINE_WEIGHTED(rho, wi, wo)
 
 
 # --- guesses ----------------------------------------------------------------------------------------------------------
@@ -146,6 +152,21 @@ def test_another_mapping_orders_by_its_own_misfit():
     found = losses(guesses, CLEAN, LogRelative())
     assert jnp.all(found[1:] >= found[:-1])
     assert abs(guesses.slope[0] - TRUTH.slope) < 0.1 * TRUTH.slope
+
+
+@pytest.mark.parametrize("trainable", [None, lambda brdf: (brdf.specular, brdf.slope)], ids=["all", "diffuse held"])
+def test_a_misfit_by_moments_is_the_misfit(trainable):
+    """The same guesses in the same order, whether the model is evaluated once more or not."""
+    noisy = 1 + 0.1 * np.random.default_rng(0).normal(size=CLEAN.value.shape)
+    samples = Samples(CLEAN.wi, CLEAN.wo, CLEAN.value * jnp.asarray(noisy, DTYPE), CLEAN.weight.at[:9].set(0))
+    by_moments, by_misfit = (
+        initial_guesses(TRUTH, samples, 8, mapping=mapping, trainable=trainable)
+        for mapping in (COSINE_WEIGHTED, NotKnownToBeLinear())
+    )
+    for a, b in zip(jax.tree.leaves(by_moments), jax.tree.leaves(by_misfit), strict=True):
+        assert_close(a, b)
+    found = losses(by_moments, samples)
+    assert jnp.all(found[1:] >= found[:-1])
 
 
 def test_candidates_are_spread_evenly():
