@@ -13,11 +13,12 @@ import optimistix as optx
 from jax.core import Tracer
 
 from hshjax._typing import Array
-from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, pushed_out, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared, nan_outside, on_bound, outside, pushed_out, to_free
 from hshjax.fitting._jaxopt import Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt
+from hshjax.fitting._loss import Loss
 from hshjax.fitting._one_by_one import one_by_one
-from hshjax.fitting._optimistix import constant, half_square, implicit, solve_optimistix
+from hshjax.fitting._optimistix import constant, implicit, solve_optimistix
 from hshjax.fitting._outcome import Outcome
 from hshjax.fitting._result import IterativeFit, Model
 from hshjax.fitting._terms import AbstractTerm, l1_weight
@@ -122,69 +123,53 @@ def _run(
     on_step: Callable[[Array, Array], None] | None,
 ) -> IterativeFit:
     leaves, structure = jax.tree.flatten(free)
+    loss = Loss(terms, held, structure)
     unbounded = tuple(Box(box.name, -math.inf, math.inf) for box in boxes)
     chart = unbounded if keeps_boxes(solver) else boxes
     leaves = [nan_outside(leaf, box) for leaf, box in zip(leaves, boxes, strict=True)]
     start = [to_free(leaf, box) for leaf, box in zip(leaves, chart, strict=True)]
-    smooth = {name: term for name, term in terms.items() if l1_weight(term) is None}
-    sparse = {name: weight for name, term in terms.items() if (weight := l1_weight(term)) is not None}
+    _, start_losses = loss.parts(start, chart)
+    low = [jnp.full_like(leaf, box.low) for leaf, box in zip(leaves, boxes, strict=True)]
+    high = [jnp.full_like(leaf, box.high) for leaf, box in zip(leaves, boxes, strict=True)]
 
-    def parameters(y, chart):
-        # Behind a barrier, or XLA fuses the sine into the residuals and takes it once for every one of them.
-        return jax.lax.optimization_barrier([to_bounded(u, box) for u, box in zip(y, chart, strict=True)])
-
-    def assemble(y, held, chart):
-        return eqx.combine(jax.tree.unflatten(structure, parameters(y, chart)), held)
-
-    def residuals(chart, y, args):
-        held, smooth = args
-        model = assemble(y, held, chart)
-        return {name: _floating(name, term(model)) for name, term in smooth.items()}
-
-    def losses(y, chart):
-        """The smooth part of the loss, and all parts by name."""
-        found = {name: half_square(residual) for name, residual in residuals(chart, y, (held, smooth)).items()}
-        size = jnp.stack([jnp.sum(jnp.abs(u)) for u in y]).sum()
-        by_name = found | {name: weight.astype(size.dtype) * size for name, weight in sparse.items()}
-        return sum(found.values()), by_name
+    def residuals(chart, y, loss):
+        return loss.residuals(y, chart)
 
     def visit(step, loss):
         if on_step is not None:
             jax.debug.callback(on_step, step, loss)
 
-    _, start_losses = losses(start, chart)
-    args, inside = (held, smooth), partial(residuals, chart)
-    low = [jnp.full_like(leaf, box.low) for leaf, box in zip(leaves, boxes, strict=True)]
-    high = [jnp.full_like(leaf, box.high) for leaf, box in zip(leaves, boxes, strict=True)]
+    def by_optimistix(parts):
+        solver, start, loss, options = parts
+        return solve_optimistix(solver, partial(residuals, chart), start, loss, max_steps, visit, options)
+
     if isinstance(solver, Jaxopt):
-        l1 = sum(sparse.values(), start=jnp.zeros((), start[0].dtype))
-        y, steps, outcome, curve = solver.solve(inside, start, args, (low, high), l1, max_steps, visit)
-        x = parameters(y, chart)
+        l1 = sum(loss.sparse.values(), start=jnp.zeros((), start[0].dtype))
+        y, steps, outcome, curve = solver.solve(
+            partial(residuals, chart), start, loss, (low, high), l1, max_steps, visit
+        )
+        x = loss.parameters(y, chart)
     else:
         options = {"lower": low, "upper": high} if chart != boxes else {}
-
-        def solve(parts):
-            solver, start, args, options = parts
-            return solve_optimistix(solver, inside, start, args, max_steps, visit, options)
-
-        y, steps, outcome, curve = one_by_one(solve, (solver, start, args, options))
-        found = parameters(y, chart)
+        y, steps, outcome, curve = one_by_one(by_optimistix, (solver, start, loss, options))
+        found = loss.parameters(y, chart)
         # On a bound the gradient by a parameter need not vanish, but that by its free number does: there the implicit
         # function theorem holds. The values stay as they were found, to the last digit.
         if chart != boxes:
             y = [to_free(leaf, box, inside=0.0) for leaf, box in zip(found, boxes, strict=True)]
-        y = implicit(partial(residuals, boxes), constant(y), args)
-        x = [constant(a) + (b - constant(b)) for a, b in zip(found, parameters(y, boxes), strict=True)]
+        y = implicit(partial(residuals, boxes), constant(y), loss)
+        x = [constant(a) + (b - constant(b)) for a, b in zip(found, loss.parameters(y, boxes), strict=True)]
+
     if keeps_boxes(solver):
-        gradient, end = jax.grad(losses, has_aux=True)(x, unbounded)
+        gradient, end = jax.grad(loss.parts, has_aux=True)(x, unbounded)
         gradient = [jnp.where(pushed_out(a, g, box), 0, g) for a, g, box in zip(x, gradient, boxes, strict=True)]
     else:
-        gradient, end = jax.grad(losses, has_aux=True)(y, chart)
+        gradient, end = jax.grad(loss.parts, has_aux=True)(y, chart)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())
     outcome = Outcome.where(_finite(end, x), outcome, Outcome.nonfinite)
     outcome = Outcome.where(_finite(start_losses, start), outcome, Outcome.nonfinite_start)
     return IterativeFit(
-        model=eqx.combine(jax.tree.unflatten(structure, x), held),
+        model=loss.model(x),
         result=outcome,
         steps=steps,
         losses=end,
@@ -198,13 +183,6 @@ def _run(
 def _finite(losses: dict[str, Array], y: list[Array]) -> Array:
     """Whether all are: a model may well have a finite loss where a parameter is NaN, as a lobe that masks its tail."""
     return jnp.isfinite(sum(losses.values())) & jnp.stack([jnp.all(jnp.isfinite(u)) for u in y]).all()
-
-
-def _floating(name: str, residual: Any) -> Any:
-    leaves = jax.tree.leaves(residual)
-    if not leaves or not all(eqx.is_inexact_array(leaf) for leaf in leaves):
-        raise ValueError(f"the term {name!r} must return floating arrays (its residual), got {residual!r}")
-    return residual
 
 
 def checked(objective: Mapping[str, AbstractTerm], solver: Solver) -> dict[str, AbstractTerm]:
