@@ -20,6 +20,9 @@ from hshjax.samples import Samples
 COSINE_WEIGHTED = CosineWeighted()
 FEWEST_CANDIDATES = 64
 CANDIDATES_PER_GUESS = 4
+SHORTLIST = 16
+"""Fewest candidates whose misfit is looked at."""
+
 SWEEPS = 50
 """Of coordinate descent: two columns at a cosine of 0.9 agree to 0.81^50 = 3e-5, far beyond what a start needs."""
 
@@ -48,7 +51,7 @@ def initial_guesses(
       those of its linearisation about the samples; the order of the guesses is by the true misfit.
     - `trainable`: as for `fit`: what is guessed. The rest keeps the template's value.
 
-    `OrenNayar(full=True)` is quadratic in its albedo: it is taken, and judged, for the straight line from 0 to 1. Where
+    `OrenNayar(full=True)` is quadratic in its albedo: it is taken for the straight line from 0 to 1. Where
     amplitudes multiply each other, as in `scale * Lambert(albedo)`, the samples tell their product only: the inner ones
     are solved for with the outer at 1, then the outer ones, which so stay at 1 unless an inner one ended on a bound, or
     has fewer channels. A fit should hold one of the two.
@@ -97,15 +100,17 @@ def _guesses(free: Any, held: Any, samples: Samples, mapping: AbstractMapping, c
             amplitudes, loss = _box_least_squares(columns, rest, data, [unknowns[k] for k in group])
             for k, amplitude in zip(group, amplitudes, strict=True):
                 leaves[k] = amplitude
-        # Of many materials on the same directions the columns are the same, the misfit is not. A linear one is known,
-        # as a difference of large numbers: for that float32 has not the digits.
-        if loss is None or not mapping.linear or dtype != jnp.float64:
+        if loss is None or not mapping.linear:
             loss = half_square(misfit(assemble(leaves)))
         return leaves, loss
 
     points = _spread(sum(not u.amplitude for u in unknowns), max(FEWEST_CANDIDATES, CANDIDATES_PER_GUESS * count))
+    # Of many materials on the same directions the columns are the same, the misfit is not: so candidates compete by
+    # what least squares says of it, a difference of large numbers, and only those that are left by the misfit itself.
     leaves, losses = jax.lax.map(solve, jnp.asarray(_in_ranges(points, unknowns), dtype))
-    kept = _best_distinct(losses, points, min(count, len(points)))
+    kept = _best_distinct(losses, points, min(max(count, SHORTLIST), len(points)))
+    true = jax.lax.map(lambda k: half_square(misfit(assemble([leaf[k] for leaf in leaves]))), kept)
+    kept = kept[jnp.argsort(true)][:count]
 
     def spread_out(leaf):
         return jnp.broadcast_to(leaf, (kept.size, *leaf.shape)) if eqx.is_inexact_array(leaf) else leaf
