@@ -88,7 +88,8 @@ def run(config: Config, record: Record) -> None:
         f"over the whole hemispheres and judged at the {judge.weight.size} nodes of another of degree "
         f"{config.judge_degree}. Linear models minimise norm A; exp-HSH and the parametric ones minimise the "
         f"cosine-weighted difference (norm D), exp-HSH with a smoothness of weight {config.ridge:g} relative to the "
-        f"energy of the data. Nothing was tuned on a single material. Parametric fits take the best of "
+        f"energy of the data. That weight was chosen by looking at some of these materials; nothing else was "
+        f"tuned. Parametric fits take the best of "
         f"{config.starts} starts. Coefficients are per material of three channels."
     )
     record.table(

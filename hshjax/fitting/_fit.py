@@ -42,6 +42,7 @@ def fit(
 
     - `model`: any Module or pytree of them: a BRDF, lights, normals, a scene. Its values are the start.
     - `objective`: terms by name, weighted by `*`: `{"data": SampleMisfit(samples), "swap": 10.0 * Reciprocity(rule)}`.
+      The same mapping belongs in a `SampleMisfit` and in the `initial_guesses` for it.
     - `solver`: a least-squares solver or minimiser of optimistix (`OptaxMinimiser` wraps optax), or `Jaxopt`. By
       default `LevenbergMarquardt` with relative tolerances of 1e-8 in float64, 1e-4 in float32. More unknowns than some
       thousands (normals of an image, say) ask for a solver without a Jacobian: `optimistix.LBFGS`, `Jaxopt`.
@@ -53,12 +54,12 @@ def fit(
       compiled program: use one function again and again, for another one compiles anew.
 
     Fields declared by `bounded` stay in their box: by the solver, if it keeps boxes (the default one does, and some of
-    `Jaxopt`), else by a smooth transformation. On a bound that has no slope: a start within 1e-5 of the box from a
-    bound is then moved inside to there.
+    `Jaxopt`), else by a smooth transformation. On a bound that has no slope: a start nearer to it than 1e-5 of the box
+    (1e-5 itself, where the other end is infinite) is then moved inside by that much.
 
-    Runs under jit and vmap: there `throw=False`, lest one bad start end all; on a CPU one fit after another, but for
-    `Jaxopt`. The fitted model is differentiable in what is held (data, weights, parts that are not trainable) by the
-    implicit function theorem at the optimum, not in the start.
+    Runs under jit and vmap, on a CPU one fit after another, but for `Jaxopt`. Pass `throw=False` there and look at
+    `result`, or one fit that does not converge ends them all. The fitted model is differentiable in what is held (data,
+    weights, parts that are not trainable) by the implicit function theorem at the optimum, not in the start.
 
     **Raises:** ValueError for an objective that is no mapping of terms, a term that is not of floating arrays or that
     the solver cannot take, nothing trainable, a parameter outside its bounds. RuntimeError for a fit that did not

@@ -38,7 +38,7 @@ def multi_start(
 
     A start that is or becomes infinite or NaN, in its loss or a parameter, is never chosen unless all are such.
 
-    Runs under jit, and under vmap over a batch of materials (there `throw=False`).
+    Runs under jit, and under vmap over a batch of materials: pass `throw=False` there, and look at `best.result`.
 
     **Raises:** ValueError as `fit` does, and for starts without a leading axis or of different numbers. RuntimeError
     for a best fit that did not converge, unless `throw` is False.
