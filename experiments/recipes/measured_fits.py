@@ -89,8 +89,8 @@ def run(config: Config, record: Record) -> None:
         f"{config.judge_degree}. Linear models minimise norm A; exp-HSH and the parametric ones minimise the "
         f"cosine-weighted difference (norm D), exp-HSH with a smoothness of weight {config.ridge:g} relative to the "
         f"energy of the data. That weight was chosen by looking at some of these materials; nothing else was "
-        f"tuned. Parametric fits take the best of "
-        f"{config.starts} starts. Coefficients are per material of three channels."
+        f"tuned. Parametric fits take the best of {config.starts} starts. Coefficients are per material of three "
+        "channels."
     )
     record.table(
         "summary", summary,

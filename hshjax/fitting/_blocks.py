@@ -5,11 +5,28 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from hshjax._typing import Array
+from hshjax._typing import Array, Float
+from hshjax.bases import AbstractPairBasis
+from hshjax.bases._base import matmul
 from hshjax.samples import Samples
 
 ROWS = 4096
 """Samples a block: large enough for the matrix products, small enough for the cache."""
+
+FUSED = 4
+"""Channels up to which the fused sum of a series costs less than the row that serves all channels."""
+
+
+def series(
+    basis: AbstractPairBasis,
+    coefficients: Float[Array, "modes channels"],
+    wi: Float[Array, "n 3"],
+    wo: Float[Array, "n 3"],
+) -> Float[Array, "n channels"]:
+    """Σ c_k B_k at the pairs of a block, small enough for its rows to be formed where the channels are many."""
+    if coefficients.shape[1] <= FUSED:
+        return basis.evaluate(coefficients, wi, wo)
+    return matmul(basis(wi, wo), coefficients)
 
 
 def fold(

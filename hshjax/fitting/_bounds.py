@@ -111,9 +111,8 @@ def outside(x: Any, box: Box) -> Any:
     return (x < low) | (x > high)
 
 
-def pushed_out(x: Real, gradient: Real, box: Box) -> Bool[Array, "..."]:
+def pushed_out(x: Real, gradient: Real, low: Real, high: Real) -> Bool[Array, "..."]:
     """Where a parameter is on a bound, and a loss of this gradient would fall beyond it."""
-    low, high = _ends(x, box)
     return ((x <= low) & (gradient > 0)) | ((x >= high) & (gradient < 0))
 
 

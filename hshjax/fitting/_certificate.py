@@ -130,23 +130,24 @@ class _Watch:
             for c, column in enumerate(coefficients.T)
             if c not in self.seen or not np.array_equal(column, self.seen[c][0])
         ]
-        for block, columns in channel_blocks(coefficients, changed):
-            at_points = self._at(columns, self.x)
+        for block, filled in channel_blocks(coefficients, changed):
+            at_points = self._at(coefficients[:, filled], self.x)
             for k, c in enumerate(block):
                 column = coefficients[:, c].copy()  # the caller may change its own
                 self.seen[c] = (column, *self._descended(column, at_points[:, :, k]))
         _, figure, lowest, points = zip(*(self.seen[c] for c in range(coefficients.shape[1])), strict=True)
         return Lowest(np.array(figure), np.array(lowest), list(points))
 
-    def _at(self, columns: Array, x: np.ndarray) -> np.ndarray:
-        return in_chunks(lambda p: _sums(self.family, columns, p, self.exponent), x)
+    def _at(self, columns: np.ndarray, x: np.ndarray) -> np.ndarray:
+        coefficients = jnp.asarray(columns)
+        return in_chunks(lambda p: _sums(self.family, coefficients, p, self.exponent), x)
 
     def _descended(self, column: np.ndarray, at_points: np.ndarray) -> tuple[float, float, np.ndarray]:
         # Neither figure's lowest points alone: those may crowd in one valley, while another one is deeper.
         start = np.concatenate([_lowest_of_cells(self.family, self.x, at_points[:, k]) for k in (0, 1)])
         sizes = np.full(self.x.shape[1], STRIDE)
         between = follow(self.family, column, 0.0, np.unique(start, axis=0), sizes, STEPS).x
-        seen = np.concatenate([at_points, self._at(jnp.asarray(column[:, None]), between)[:, :, 0]])
+        seen = np.concatenate([at_points, self._at(column[:, None], between)[:, :, 0]])
         return np.min(seen[:, 0]), np.min(seen[:, 1]), between
 
 

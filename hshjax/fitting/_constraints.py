@@ -23,15 +23,13 @@ import numpy as np
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis, IsotropicBasis, from_matrix
 from hshjax.bases._base import matmul
+from hshjax.fitting._blocks import series
 from hshjax.quadrature import hemisphere_rule
 
 CONSTRAINTS = ("non_negative", "energy")
 
 NEAREST = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
 """Smallest cosine at which a quotient series / (z_i z_o) is looked at: its rounding grows like 1 / z²."""
-
-FUSED = 4
-"""Channels up to which a sum is taken without its row."""
 
 
 def check_constraints(constraints: tuple[str, ...], rounds: int) -> None:
@@ -88,8 +86,8 @@ class NonNegative:
         return self.basis(*self.pairs(x)) / self.scale(x)[:, None]
 
     def sums(self, coefficients: Float[Array, "modes channels"], x: Float[Array, "n d"]) -> Float[Array, "n channels"]:
-        """rows(x) @ coefficients, with no row formed."""
-        return self.basis.evaluate(coefficients, *self.pairs(x)) / self.scale(x)[:, None]
+        """rows(x) @ coefficients."""
+        return series(self.basis, coefficients, *self.pairs(x)) / self.scale(x)[:, None]
 
     def floor(self, x: Float[Array, "n d"]) -> Float[Array, " n"]:
         return jnp.zeros_like(x[:, 0])
@@ -263,19 +261,14 @@ def family_rows(family: Family, x: Float[Array, "n d"]) -> Float[Array, "n modes
 
 @partial(jax.jit, static_argnums=0)
 def family_gaps(
-    family: Family, coefficients: Float[Array, "modes channels"], x: Float[Array, "n d"]
+    family: Family,
+    coefficients: Float[Array, "modes channels"],
+    rounding: Float[Array, " channels"],
+    x: Float[Array, "n d"],
 ) -> Float[Array, "n channels"]:
-    """row(x) · c - floor(x) for every channel."""
-    # The fused sums cost as much for a channel as a row does for all of them.
-    fused = coefficients.shape[1] <= FUSED
-    sums = family.sums(coefficients, x) if fused else matmul(family.rows(x), coefficients)
-    return sums - family.floor(x)[:, None]
-
-
-@partial(jax.jit, static_argnums=0)
-def family_margin(family: Family, column: Array, rounding: Array, x: Float[Array, "n d"]) -> Float[Array, " n"]:
-    """row(x) · c - floor(x) - rounding sensitivity(x) of one channel's coefficients `(modes,)`."""
-    return family.sums(column[:, None], x)[:, 0] - family.floor(x) - rounding * family.sensitivity(x)
+    """row(x) · c - floor(x) - rounding sensitivity(x) for every channel."""
+    allowance = jnp.outer(family.sensitivity(x), rounding)
+    return family.sums(coefficients, x) - family.floor(x)[:, None] - allowance
 
 
 @partial(jax.jit, static_argnums=0)

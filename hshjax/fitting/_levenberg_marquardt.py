@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import cho_factor, cho_solve
 
 from hshjax._typing import Array, Bool, Float, Int
+from hshjax.fitting._bounds import pushed_out
 from hshjax.fitting._optimistix import half_square
 
 STOPS = 4
@@ -178,9 +179,8 @@ def _damped_step(
         beyond = free & ((move < least) | (move > most))
         return stopped | beyond, jnp.where(beyond, jnp.clip(move, least, most), held), move, jnp.any(beyond), count + 1
 
-    pushed = ((gradient > 0) & (most <= 0)) | ((gradient < 0) & (least >= 0))
     still = jnp.zeros_like(point)
-    begin = (pushed, still, still, jnp.asarray(True), jnp.asarray(0))
+    begin = (pushed_out(point, gradient, lower, upper), still, still, jnp.asarray(True), jnp.asarray(0))
     move = jax.lax.while_loop(lambda state: state[3] & (state[4] < STOPS), again, begin)[2]
     move = jnp.clip(move, least, most)
     # Exactly on the bound, where rounding would leave it beside.

@@ -8,12 +8,9 @@ from hshjax._typing import Array, Float, PairFunction
 from hshjax.bases._base import matmul
 from hshjax.brdfs._base import AbstractBRDF
 from hshjax.brdfs._linear import LinearBRDF, foreshortening
-from hshjax.fitting._blocks import ROWS, fold
+from hshjax.fitting._blocks import ROWS, fold, series
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
-
-FUSED = 4
-"""Channels up to which the fused sum of a series costs less than the row that serves all channels."""
 
 
 def relative_error(brdf: PairFunction, samples: Samples, norm: str = "D") -> Float[Array, " channels"]:
@@ -38,8 +35,8 @@ def misfit(
 ) -> tuple[Float[Array, " channels"], Float[Array, " channels"]]:
     """Numerator and denominator of `relative_error`."""
     judge = named_norm(norm)
-    if isinstance(brdf, LinearBRDF) and brdf.channels > FUSED:
-        brdf = _ByRows(brdf)
+    if isinstance(brdf, LinearBRDF):
+        brdf = _InBlocks(brdf)
 
     def visit(sums, wi, wo, value, weight):
         weight = weight * judge.judge_weight(wi, wo)
@@ -53,11 +50,11 @@ def misfit(
     return error, size
 
 
-class _ByRows(AbstractBRDF):
-    """A series in many channels, a row for all of them: within a block of samples there is room for it."""
+class _InBlocks(AbstractBRDF):
+    """A `LinearBRDF` that is called for a block of samples at a time."""
 
     brdf: LinearBRDF
 
     def formula(self, wi, wo):
-        series = matmul(self.brdf.basis(wi, wo), self.brdf.coefficients)
-        return series / foreshortening(wi, wo, self.brdf.target)[..., None]
+        values = series(self.brdf.basis, self.brdf.coefficients, wi, wo)
+        return values / foreshortening(wi, wo, self.brdf.target)[..., None]

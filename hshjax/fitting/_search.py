@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array
-from hshjax.fitting._constraints import Family, family_gaps, family_levels, family_margin
+from hshjax.fitting._constraints import Family, family_gaps
 
 NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
 """Densities of the search grid; the first that keeps it below `LARGEST` nodes is taken."""
@@ -62,18 +61,16 @@ class SearchGrid:
         self.shape = tuple(counts)
         self.spacing = np.array([axis[1] - axis[0] for axis in axes])
         self.nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-        self.sensitivity = in_chunks(lambda x: family_levels(family, x)[1], self.nodes)
 
     def minima(
         self, coefficients: np.ndarray, channels: list[int], rounding: np.ndarray, steps: int
     ) -> dict[int, Minima]:
         """The lowest points for each of `channels`: all that lie below 0, as far as the grid tells, and near misses."""
         found = {}
-        for block, columns in channel_blocks(coefficients, channels):
-            gaps = in_chunks(lambda x, columns=columns: family_gaps(self.family, columns, x), self.nodes)
+        for block, filled in channel_blocks(coefficients, channels):
+            gaps = _gaps(self.family, coefficients[:, filled], rounding[filled], self.nodes)
             for k, c in enumerate(block):
-                gap = gaps[:, k] - self.sensitivity * rounding[c]
-                start = self._promising(gap.reshape(self.shape))
+                start = self._promising(gaps[:, k].reshape(self.shape))
                 found[c] = follow(self.family, coefficients[:, c], rounding[c], start, self.spacing / 2, steps)
         return found
 
@@ -154,10 +151,9 @@ def follow(
     """
     shifts, d = stencil(x.shape[1]), x.shape[1]
     lower, upper = family.box
-    column, allowance = jnp.asarray(coefficients), jnp.asarray(rounding, jnp.float64)
 
     def gaps(points):
-        return in_chunks(lambda p: family_margin(family, column, allowance, p), points)
+        return _gaps(family, coefficients[:, None], np.array([rounding]), points)[:, 0]
 
     def descended(x, best, spacing):
         """One step of all points; the last is their stencils' new size."""
@@ -184,15 +180,18 @@ def follow(
     return Minima(x, best)
 
 
-def channel_blocks(coefficients: np.ndarray, channels: list[int]) -> Iterator[tuple[list[int], Array]]:
-    """Blocks of `channels` and their columns `(modes, width)`: of one width, filled up by repetition.
+def _gaps(family: Family, columns: np.ndarray, rounding: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Gaps `(n, channels)` of points, in chunks."""
+    coefficients, allowed = jnp.asarray(columns), jnp.asarray(rounding, jnp.float64)
+    return in_chunks(lambda p: family_gaps(family, coefficients, allowed, p), x)
 
-    A program is compiled for every width.
-    """
+
+def channel_blocks(coefficients: np.ndarray, channels: list[int]) -> Iterator[tuple[list[int], np.ndarray]]:
+    """Blocks of `channels`, and the same filled up by repetition: a program is compiled for every width."""
     width = min(BLOCK, coefficients.shape[1])
     for start in range(0, len(channels), width):
         block = channels[start : start + width]
-        yield block, jnp.asarray(coefficients[:, np.resize(block, width)])
+        yield block, np.resize(block, width)
 
 
 def in_chunks(function, x: np.ndarray) -> np.ndarray:
