@@ -20,14 +20,14 @@ TOLERANCE = 1e-6
 PAIRS = 300_000
 """Upper limit of the pairs that are looked at."""
 
-DESCENTS = 1024
-"""Cells a channel from whose lowest point a minimum is sought between the nodes as well."""
-
 CELLS = {1: 64, 2: 24, 3: 16, 4: 6}
 """Cells along every axis, by the number of axes."""
 
-STRIDE, STEPS = 0.1, 14
-"""First size [radians] and number of the quadratics by which they descend."""
+STRIDE = 0.1
+"""First size [radians] of the quadratics by which minima are sought between the nodes as well."""
+
+STAGES = ((1024, 12), (64, 60))
+"""From the lowest point of how many cells, by how many steps: from all for a little, from the lowest to the end."""
 
 
 class Certificate(eqx.Module):
@@ -143,12 +143,15 @@ class _Watch:
         return in_chunks(lambda p: _sums(self.family, coefficients, p, self.exponent), x)
 
     def _descended(self, column: np.ndarray, at_points: np.ndarray) -> tuple[float, float, np.ndarray]:
-        # Neither figure's lowest points alone: those may crowd in one valley, while another one is deeper.
-        start = np.concatenate([_lowest_of_cells(self.family, self.x, at_points[:, k]) for k in (0, 1)])
         sizes = np.full(self.x.shape[1], STRIDE)
-        between = follow(self.family, column, 0.0, np.unique(start, axis=0), sizes, STEPS).x
-        seen = np.concatenate([at_points, self._at(column[:, None], between)[:, :, 0]])
-        return np.min(seen[:, 0]), np.min(seen[:, 1]), between
+        points, values = [self.x], [at_points]
+        for cells, steps in STAGES:
+            # Neither figure's lowest points alone: those may crowd in one valley, while another one is deeper.
+            start = [_lowest_of_cells(self.family, points[-1], values[-1][:, k], cells) for k in (0, 1)]
+            points.append(follow(self.family, column, 0.0, np.unique(np.concatenate(start), axis=0), sizes, steps).x)
+            values.append(self._at(column[:, None], points[-1])[:, :, 0])
+        figure, lowest = np.min(np.concatenate(values), axis=0)
+        return figure, lowest, np.concatenate(points[1:])
 
 
 @partial(jax.jit, static_argnums=(0, 3))
@@ -161,7 +164,7 @@ def _sums(family: Family, coefficients: Array, x: Array, exponent: float) -> Flo
     return jnp.stack([sums * factor[:, None], sums], axis=1)
 
 
-def _lowest_of_cells(family: Family, x: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _lowest_of_cells(family: Family, x: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
     """The lowest point of every cell of the box, those of the lowest cells."""
     lower, upper = family.box
     cells = CELLS[x.shape[1]]
@@ -169,7 +172,7 @@ def _lowest_of_cells(family: Family, x: np.ndarray, values: np.ndarray) -> np.nd
     number = cell @ cells ** np.arange(x.shape[1])
     order = np.argsort(values, kind="stable")
     _, first = np.unique(number[order], return_index=True)
-    return x[order[np.sort(first)[:DESCENTS]]]
+    return x[order[np.sort(first)[:count]]]
 
 
 def _polar(count: int, edge: float) -> np.ndarray:

@@ -15,6 +15,7 @@ beforehand (`horizon_equations`), and the rows are divided by z_o, so that they 
 
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +31,13 @@ CONSTRAINTS = ("non_negative", "energy")
 
 NEAREST = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
 """Smallest cosine at which a quotient series / (z_i z_o) is looked at: its rounding grows like 1 / z²."""
+
+
+Face = Literal["wraps", "mirrors", "passes", "ends"]
+"""What rows do at a face of their box: begin again, run back as they came, pass the pole to other azimuths, or end."""
+
+POLAR: tuple[Face, Face] = ("passes", "ends")
+"""The faces of α. At the horizon many a basis holds √z = |cos(α/2)|: a kink, if it were to go on."""
 
 
 def check_constraints(constraints: tuple[str, ...], rounds: int) -> None:
@@ -63,9 +71,10 @@ class NonNegative:
         return self.basis.reciprocal
 
     @property
-    def periodic(self) -> tuple[bool, ...]:
-        """Which coordinates wrap."""
-        return (False, False, *((False,) if _bilateral(self.basis) else (True,) * (self.box.shape[1] - 2)))
+    def faces(self) -> tuple[tuple[Face, Face], ...]:
+        """Of every coordinate, the lower and the upper one."""
+        turn: Face = "mirrors" if _bilateral(self.basis) else "wraps"
+        return (POLAR,) * 2 + ((turn, turn),) * (self.box.shape[1] - 2)
 
     def degrees(self) -> tuple[int, ...]:
         """Trigonometric degree of the rows in every coordinate."""
@@ -120,9 +129,10 @@ class Energy:
         return False
 
     @property
-    def periodic(self) -> tuple[bool, ...]:
-        """Which coordinates wrap."""
-        return (False, True)[: self.box.shape[1]]
+    def faces(self) -> tuple[tuple[Face, Face], ...]:
+        """Of every coordinate, the lower and the upper one."""
+        around: tuple[Face, Face] = ("wraps", "wraps")
+        return (POLAR, around)[: self.box.shape[1]]
 
     def degrees(self) -> tuple[int, ...]:
         """Trigonometric degree of the rows in every coordinate."""

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax.fitting._constraints import Family, family_gaps
+from hshjax.fitting._constraints import Face, Family, family_gaps
 
 NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
 """Densities of the search grid; the first that keeps it below `LARGEST` nodes is taken."""
@@ -55,8 +55,8 @@ class SearchGrid:
             if np.prod(counts) <= LARGEST:
                 break
         axes = [
-            np.linspace(a, b, n, endpoint=not wraps)
-            for a, b, n, wraps in zip(lower, upper, counts, family.periodic, strict=True)
+            np.linspace(a, b, n, endpoint=face != "wraps")
+            for a, b, n, (face, _) in zip(lower, upper, counts, family.faces, strict=True)
         ]
         self.shape = tuple(counts)
         self.spacing = np.array([axis[1] - axis[0] for axis in axes])
@@ -78,31 +78,31 @@ class SearchGrid:
         """Points from which to descend."""
         from scipy.ndimage import minimum_filter  # here, to keep `import hshjax` cheap
 
+        modes: Any = ["wrap" if face == "wraps" else "nearest" for face, _ in self.family.faces]
         scale = np.mean(np.abs(gap))
-        low = np.argwhere(gap < np.maximum(0.1 * scale, np.min(gap)))
-        if len(low) == 0:
-            low = np.argwhere(gap == np.min(gap))[:1]
+        # Where the function is large, it may fall far below the lowest of the nodes about a minimum.
+        low = np.argwhere((gap < 0.1 * scale) | (gap <= minimum_filter(gap, 3, mode=modes)))
         if self.family.swaps:  # the other half says the same
-            low = low[low[:, 0] <= low[:, 1]] if np.any(low[:, 0] <= low[:, 1]) else low
-        step, predicted = _predict(gap, low, self.family.periodic)
+            low = low[low[:, 0] <= low[:, 1]]
+        step, predicted = _predict(gap, low, self.family.faces)
         sheet = np.full(gap.shape, np.inf)
         sheet[tuple(low.T)] = predicted
-        modes: Any = ["wrap" if wraps else "nearest" for wraps in self.family.periodic]
-        lowest = (sheet <= minimum_filter(sheet, 3, mode=modes))[tuple(low.T)] & (predicted < 0.02 * scale)
+        # A quadratic through such nodes tells the depth below them to a few tenths.
+        doubt = np.maximum(0.02 * scale, 0.3 * (gap[tuple(low.T)] - predicted))
+        lowest = (sheet <= minimum_filter(sheet, 3, mode=modes))[tuple(low.T)] & (predicted < doubt)
         order = np.argsort(predicted)
         beside = order[~lowest[order] & (predicted[order] < 0)][:FOLLOWED]
         chosen = np.concatenate([order[lowest[order]], beside])
         flat = np.ravel_multi_index(tuple(low[chosen].T), gap.shape)
-        return _into(self.family, self.nodes[flat] + step[chosen] * self.spacing)
+        return np.minimum(self.nodes[flat] + step[chosen] * self.spacing, _limit(self.family))
 
 
-def _predict(gap: np.ndarray, nodes: np.ndarray, periodic: tuple[bool, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _predict(gap: np.ndarray, nodes: np.ndarray, faces: tuple[tuple[Face, Face], ...]):
     """Step [nodes] towards the minimum of the quadratic about each node, no further than a node, and its value."""
     padded = gap
-    for axis, wraps in enumerate(periodic):
-        width = [(1, 1) if a == axis else (0, 0) for a in range(gap.ndim)]
-        # Odd reflection continues the function in a straight line: at an edge, the slope decides.
-        padded = np.pad(padded, width, mode="wrap") if wraps else np.pad(padded, width, "reflect", reflect_type="odd")
+    for axis, sides in enumerate(faces):
+        for side, face in enumerate(sides):
+            padded = _continued(padded, axis, side, face)
     here = nodes + 1
 
     def at(*shifts):
@@ -111,6 +111,16 @@ def _predict(gap: np.ndarray, nodes: np.ndarray, periodic: tuple[bool, ...]) -> 
     values = at(*stencil(gap.ndim)).T
     step, predicted = _descend(values, gap.ndim)
     return step, np.minimum(predicted, values[:, 0])
+
+
+def _continued(gap: np.ndarray, axis: int, side: int, face: Face) -> np.ndarray:
+    """The grid with another node beyond one face."""
+    n = gap.shape[axis]
+    edge, inner, last = (0, 1, n - 1) if side == 0 else (n - 1, n - 2, 0)
+    edge, inner, last = (np.take(gap, [k], axis) for k in (edge, inner, last))
+    # Where it is neither periodic nor even, the function goes on in a straight line: the slope decides.
+    beyond = {"wraps": last, "mirrors": inner}.get(face, 2 * edge - inner)
+    return np.concatenate([beyond, gap] if side == 0 else [gap, beyond], axis)
 
 
 def stencil(d: int) -> np.ndarray:
@@ -125,7 +135,11 @@ def stencil(d: int) -> np.ndarray:
 
 
 def _descend(values: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray]:
-    """Newton step of the quadratic through the stencil, |.| of its curvatures, at most 1 a coordinate; its value."""
+    """Newton step of the quadratic through the stencil, |.| of its curvatures, at most 1 a coordinate; its value.
+
+    The coordinate that goes furthest beyond 1 stops there, and the others take the minimum of what is left to them: in
+    a narrow valley the step stays at its bottom.
+    """
     slope = (values[:, 1 : 2 * d + 1 : 2] - values[:, 2 : 2 * d + 1 : 2]) / 2
     curvature = np.zeros((len(values), d, d))
     for i in range(d):
@@ -133,11 +147,21 @@ def _descend(values: np.ndarray, d: int) -> tuple[np.ndarray, np.ndarray]:
     for k, (i, j) in enumerate(itertools.combinations(range(d), 2)):
         q = values[:, 1 + 2 * d + 4 * k :][:, :4]
         curvature[:, i, j] = curvature[:, j, i] = (q[:, 0] + q[:, 1] - q[:, 2] - q[:, 3]) / 4
-    bends, axes = np.linalg.eigh(curvature)
     # A straight direction has no Newton step; a tiny curvature instead leads to the limit of 1.
-    bends = np.maximum(np.abs(bends), 1e-12 * np.max(np.abs(values), axis=1, initial=1e-300)[:, None])
-    step = -np.einsum("nij,nj->ni", axes, np.einsum("nji,nj->ni", axes, slope) / bends)
-    step /= np.maximum(1, np.max(np.abs(step), axis=1, keepdims=True))
+    least = 1e-12 * np.max(np.abs(values), axis=1, initial=1e-300)[:, None]
+    step = np.zeros((len(values), d))
+    free = np.ones(step.shape, bool)
+    for _ in range(d + 1):
+        pull = slope + np.einsum("nij,nj->ni", curvature, np.where(free, 0, step))
+        bends, axes = np.linalg.eigh(np.where(free[:, :, None] & free[:, None, :], curvature, 0))
+        newton = np.einsum("nji,nj->ni", axes, np.where(free, pull, 0)) / np.maximum(np.abs(bends), least)
+        step = np.where(free, -np.einsum("nij,nj->ni", axes, newton), step)
+        furthest = np.abs(step) == np.max(np.abs(step), axis=1, keepdims=True)
+        stops = free & furthest & (np.abs(step) > 1)
+        step = np.where(stops, np.sign(step), step)
+        free &= ~stops
+        if not np.any(stops):
+            break
     return step, values[:, 0] + np.sum(slope * step, axis=1) + np.einsum("ni,nij,nj->n", step, curvature, step) / 2
 
 
@@ -146,30 +170,32 @@ def follow(
 ) -> Minima:
     """Descend from every point to a minimum nearby, by quadratics on stencils of size `spacing` `(d,)`.
 
-    A stencil shrinks where its minimum lies within, and goes on at its size where it does not; a point whose stencil is
-    below `RESOLVED` stays. `coefficients` `(modes,)`, `rounding`: of one channel.
+    A stencil shrinks where its minimum lies within, and grows again, up to its first size, where it does not; a point
+    whose stencil is below `RESOLVED` stays. Points may leave the box where the function goes on beyond its faces.
+    `coefficients` `(modes,)`, `rounding`: of one channel.
     """
     shifts, d = stencil(x.shape[1]), x.shape[1]
-    lower, upper = family.box
+    limit, first = _limit(family), spacing
 
     def gaps(points):
         return _gaps(family, coefficients[:, None], np.array([rounding]), points)[:, 0]
 
     def descended(x, best, spacing):
         """One step of all points; the last is their stencils' new size."""
-        # The stencil keeps to the box: beyond the horizon there is nothing to see.
-        centre = np.where(family.periodic, x, np.clip(x, lower + spacing, upper - spacing))
-        points = _into(family, (centre[:, None] + shifts * spacing[:, None]).reshape(-1, d))
+        centre = np.minimum(x, limit - spacing)
+        points = (centre[:, None] + shifts * spacing[:, None]).reshape(-1, d)
         values = gaps(points).reshape(len(x), len(shifts))
         step, _ = _descend(values, d)
-        target = _into(family, centre + step * spacing)
+        target = centre + step * spacing
         k = np.argmin(values, axis=1)
         corner = points.reshape(len(x), len(shifts), d)[np.arange(len(x)), k]
-        choices = np.stack([gaps(target), values[np.arange(len(x)), k], best])
-        winner = np.argmin(choices, axis=0)
-        x = np.where((winner == 0)[:, None], target, np.where((winner == 1)[:, None], corner, x))
-        inside = (np.max(np.abs(step), axis=1) < 0.99) | (winner == 2)
-        return x, np.min(choices, axis=0), np.where(inside[:, None], spacing / 6, spacing)
+        choices = np.stack([best, gaps(target), values[np.arange(len(x)), k]])
+        winner = np.argmin(choices, axis=0)  # a tie stays
+        x = np.stack([x, target, corner])[winner, np.arange(len(x))]
+        at_face = target >= limit - 1e-3 * spacing
+        inside = np.all((np.abs(step) < 0.99) | at_face, axis=1) | (winner == 0)
+        grown = np.minimum(2 * spacing, first)
+        return x, np.min(choices, axis=0), np.where(inside[:, None], spacing / 6, grown)
 
     x, best, spacing = x.copy(), gaps(x), np.tile(spacing, (len(x), 1))
     for _ in range(steps):
@@ -205,8 +231,6 @@ def in_chunks(function, x: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _into(family: Family, x: np.ndarray) -> np.ndarray:
-    """Points moved into the box: wrapped where it wraps, else to the nearest face."""
-    lower, upper = family.box
-    wrapped = lower + np.mod(x - lower, upper - lower)
-    return np.where(family.periodic, wrapped, np.clip(x, lower, upper))
+def _limit(family: Family) -> np.ndarray:
+    """What no coordinate may exceed."""
+    return np.where([above == "ends" for _, above in family.faces], family.box[1], np.inf)

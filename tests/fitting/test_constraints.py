@@ -9,8 +9,10 @@ from scipy.optimize import minimize
 from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, TensorBasis, Zernike
 from hshjax.brdfs import GGX, CookTorrance, Lambert, Ward
 from hshjax.fitting import NORMS, Outcome, project
-from hshjax.fitting._certificate import Certifier
+from hshjax.fitting._certificate import STAGES, STRIDE, Certifier
+from hshjax.fitting._constraints import NonNegative
 from hshjax.fitting._least_distance import InfeasibleError, least_distance
+from hshjax.fitting._search import follow
 from hshjax.geometry import direction
 from hshjax.io import read_rgl
 from hshjax.metrics import albedo, negativity
@@ -141,6 +143,28 @@ def test_what_has_changed_is_looked_at_again_and_only_that(monkeypatch):
     # The same columns in blocks of other neighbours: the products round differently.
     assert_close(again.smallest, anew.smallest)
     assert_close(again.albedo, anew.albedo)
+
+
+@pytest.mark.skipif(not X64, reason="a search in float64")
+@pytest.mark.parametrize("seed", range(3))
+def test_descents_end_at_minima_on_and_off_the_faces(seed):
+    """A minimiser of another make finds nothing lower beside any end: minima lie within, at Δφ = 0, on the horizon."""
+    family = NonNegative(BASIS, (0, 0), np.pi)
+    rng = np.random.default_rng(seed)
+    column = rng.normal(size=BASIS.count)
+    start = rng.uniform(*family.box, (40, 3))
+    gaps = jax.jit(jax.value_and_grad(lambda x: family.sums(jnp.asarray(column)[:, None], x[None])[0, 0]))
+    found = follow(family, column, 0.0, start, np.full(3, STRIDE), STAGES[-1][1])
+    for x, gap in zip(found.x, found.gap, strict=True):
+        # Not the horizon itself, where derivatives in α are those of |cos(α/2)|.
+        bounds = [
+            (a - 0.02, min(a + 0.02, top)) for a, top in zip(x, (np.pi - 1e-9, np.pi - 1e-9, np.inf), strict=True)
+        ]
+        begin = np.clip(x, *np.transpose(bounds))
+        oracle = minimize(lambda x: tuple(map(np.asarray, gaps(x))), begin, jac=True, bounds=bounds)
+        assert oracle.fun >= gap - 1e-9
+    assert np.any(np.abs(np.sin(found.x[:, 2])) < 1e-5)
+    assert np.any(found.x[:, :2] > np.pi - 1e-5)
 
 
 # --- certified fits ---------------------------------------------------------------------------------------------------
