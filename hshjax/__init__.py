@@ -1,8 +1,8 @@
 """Compact, reciprocal reflectance in JAX.
 
-Bases of the hemisphere and of pairs of directions, BRDFs that are linear in them, analytic and measured BRDFs, and
-fits in closed form or by gradients. Files live in `hshjax.io`; pictures, which need the extra `experiments`, in
-`hshjax.plotting`.
+Bases of the hemisphere and of pairs of directions, BRDFs that are linear in them, analytic and measured BRDFs, fits in
+closed form or by gradients, and the reflectance equation under distant and nearby light. Files live in `hshjax.io`;
+pictures, which need the extra `experiments`, in `hshjax.plotting`.
 """
 
 from hshjax.bases import (
@@ -84,6 +84,14 @@ from hshjax.fitting import (
     sparsity_path as sparsity_path,
 )
 from hshjax.geometry import angles as angles, direction as direction, half_vector as half_vector
+from hshjax.lighting import (
+    AbstractLighting as AbstractLighting,
+    DirectionalLight as DirectionalLight,
+    EnvironmentMap as EnvironmentMap,
+    HarmonicLight as HarmonicLight,
+    MaskedLight as MaskedLight,
+    PointLight as PointLight,
+)
 from hshjax.metrics import (
     Negativity as Negativity,
     ReciprocityError as ReciprocityError,
@@ -99,6 +107,7 @@ from hshjax.quadrature import (
     isotropic_pair_rule as isotropic_pair_rule,
     pair_rule as pair_rule,
 )
+from hshjax.reflectance import reflect as reflect
 from hshjax.samples import Samples as Samples
 
 __version__ = "0.1.0"

@@ -7,12 +7,13 @@ import itertools
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import PairFunction
-from hshjax.geometry import direction, frame
+from hshjax.geometry import direction
+from hshjax.lighting import DirectionalLight
+from hshjax.reflectance import reflect
 
 # Okabe and Ito's colours, told apart with every kind of colour vision.
 COLOURS = ("#009E73", "#D55E00", "#0072B2", "#CC79A7", "#E69F00", "#56B4E9")
@@ -50,15 +51,6 @@ def incident_plane(
     axes.tick_params(labelsize=8)
 
 
-@eqx.filter_jit
-def _radiance(brdf, light, normals, view):
-    """ρ(R l, R v) max(n·l, 0) for unit normals `(n, 3)`: Eq. 1 under one directional light of unit irradiance."""
-    to_local = frame(normals)
-    wi = jnp.einsum("nij,j->ni", to_local, light, precision="highest")
-    wo = jnp.einsum("nij,j->ni", to_local, view, precision="highest")
-    return brdf(wi, wo) * jnp.maximum(wi[:, 2:], 0)
-
-
 def sphere(brdf: PairFunction, light: tuple[float, float, float] = (-0.5, 0.5, 0.7), *, size: int = 192) -> np.ndarray:
     """Radiance image `(size, size, channels)` of a unit sphere under a directional light of irradiance 1 [W m^-2].
 
@@ -70,9 +62,9 @@ def sphere(brdf: PairFunction, light: tuple[float, float, float] = (-0.5, 0.5, 0
     square = x * x + y * y
     inside = square < 1
     normals = np.stack([x, y, np.sqrt(np.where(inside, 1 - square, 0))], -1)[inside]
-    towards = np.asarray(light, float) / np.linalg.norm(light)
     view = jnp.asarray([0.0, 0.0, 1.0])
-    value = np.asarray(_radiance(brdf, jnp.asarray(towards, view.dtype), jnp.asarray(normals, view.dtype), view))
+    sun = DirectionalLight(jnp.asarray(light, view.dtype), jnp.ones(1))
+    value = np.asarray(reflect(brdf, sun, jnp.asarray(normals, view.dtype), view))
     image = np.full((size, size, value.shape[-1]), np.nan)
     image[inside] = value
     return image

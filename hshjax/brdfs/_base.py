@@ -1,7 +1,7 @@
 """The BRDF: a function of a pair of directions, and sums and multiples of such."""
 
 import abc
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax
@@ -10,6 +10,8 @@ import jax.numpy as jnp
 from hshjax._typing import Array, Float, Real
 from hshjax.brdfs._parameters import check_parameters
 from hshjax.geometry import as_directions, dot
+
+M = TypeVar("M", bound=eqx.Module)
 
 
 def bounded(
@@ -120,13 +122,13 @@ class ScaledBRDF(AbstractBRDF):
         return per_channel(self.scale, wi) * self.brdf.formula(wi, wo)
 
 
-def in_dtype(brdf: AbstractBRDF, dtype) -> AbstractBRDF:
-    """The same BRDF with its floating leaves in `dtype`: results follow the directions."""
+def in_dtype(module: M, dtype) -> M:
+    """The same BRDF or light with its floating leaves in `dtype`: results follow the directions."""
 
     def cast(leaf):
         return leaf.astype(dtype) if eqx.is_inexact_array(leaf) and leaf.dtype != dtype else leaf
 
-    return jax.tree.map(cast, brdf)
+    return jax.tree.map(cast, module)
 
 
 def per_channel(parameter: Real, w: Float[Array, "*batch 3"]) -> Real:

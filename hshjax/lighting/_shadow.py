@@ -1,0 +1,39 @@
+"""What stands in the way of light, pixel by pixel."""
+
+import equinox as eqx
+
+from hshjax._typing import Array, Float
+from hshjax.brdfs._base import floating, in_dtype
+from hshjax.lighting._base import AbstractLighting, Incident, Points
+
+
+class MaskedLight(AbstractLighting):
+    """A light of which each point sees a part.
+
+    `visible` `(*pixels, emitters)`, in [0, 1]: the share of each emitter that reaches each pixel; its leading axes are
+    those of the normals that are lit. One emitter for a `DirectionalLight` or `PointLight`, the pixels of an
+    `EnvironmentMap` row by row, those of a sum one after another.
+
+    **Raises:** ValueError where the last axis is not that of the light's emitters; in `reflect`, for other pixels.
+    """
+
+    light: AbstractLighting
+    visible: Float[Array, "*pixels emitters"] = eqx.field(converter=floating)
+
+    def __check_init__(self):
+        if self.visible.ndim < 1 or self.visible.shape[-1] != self.light.emitters:
+            expected = f"(*pixels, {self.light.emitters})"
+            raise ValueError(f"visible must have shape {expected}, one for each emitter, got {self.visible.shape}")
+
+    @property
+    def emitters(self) -> int:
+        return self.light.emitters
+
+    @property
+    def needs_positions(self) -> bool:
+        return self.light.needs_positions
+
+    def incident(self, points: Points) -> Incident:
+        incident = self.light.incident(points)
+        visible = in_dtype(self, points.frame.dtype).visible.reshape(-1, self.emitters)[points.index]
+        return Incident(incident.direction, incident.irradiance * visible[:, :, None])
