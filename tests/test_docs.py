@@ -20,8 +20,8 @@ RUN = [
     ),
 ]
 
-LONG = ("fit_by_gradients", "fit_parameters")
-"""They compile whole fits, in a process of their own."""
+LONG = ("fit_by_gradients", "fit_parameters", "light_a_surface")
+"""They compile whole fits or images, in a process of their own."""
 
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\((?P<target>[^()\s]+)\)")
