@@ -32,7 +32,6 @@ CONSTRAINTS = ("non_negative", "energy")
 NEAREST = {np.dtype(np.float64): 1e-3, np.dtype(np.float32): 1e-2}
 """Smallest cosine at which a quotient series / (z_i z_o) is looked at: its rounding grows like 1 / z²."""
 
-
 Face = Literal["wraps", "mirrors", "passes", "ends"]
 """What rows do at a face of their box: begin again, run back as they came, pass the pole to other azimuths, or end."""
 

@@ -163,7 +163,10 @@ def _run(
 
     if keeps_boxes(solver):
         gradient, end = jax.grad(loss.parts, has_aux=True)(x, unbounded)
-        gradient = [jnp.where(pushed_out(*at), 0, at[1]) for at in zip(x, gradient, low, high, strict=True)]
+        gradient = [
+            jnp.where(pushed_out(a, g, least, most), 0, g)
+            for a, g, least, most in zip(x, gradient, low, high, strict=True)
+        ]
     else:
         gradient, end = jax.grad(loss.parts, has_aux=True)(y, chart)
     curve = jnp.where(jnp.arange(max_steps + 1) < steps, jnp.append(curve, 0), jnp.stack(list(end.values())).sum())

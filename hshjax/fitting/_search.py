@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax._typing import Array
 from hshjax.fitting._constraints import Face, Family, family_gaps
 
 NODES_A_WAVELENGTH = (8, 6, 5, 4, 3, 2)
@@ -30,6 +31,16 @@ BLOCK = 32
 
 CHUNK = 2048
 """Points a call: one shape, so that little is compiled; small, so that rows keep to some MB."""
+
+
+STRAIGHT = {"mode": "reflect", "reflect_type": "odd"}
+BEYOND: dict[Face, Any] = {
+    "wraps": {"mode": "wrap"},
+    "mirrors": {"mode": "reflect"},
+    "passes": STRAIGHT,
+    "ends": STRAIGHT,
+}
+"""How `numpy.pad` continues a grid beyond the two faces of a coordinate; in a straight line, the slope decides there."""
 
 
 class Minima(NamedTuple):
@@ -68,7 +79,8 @@ class SearchGrid:
         """The lowest points for each of `channels`: all that lie below 0, as far as the grid tells, and near misses."""
         found = {}
         for block, filled in channel_blocks(coefficients, channels):
-            gaps = _gaps(self.family, coefficients[:, filled], rounding[filled], self.nodes)
+            columns, allowed = jnp.asarray(coefficients[:, filled]), jnp.asarray(rounding[filled])
+            gaps = _gaps(self.family, columns, allowed, self.nodes)
             for k, c in enumerate(block):
                 start = self._promising(gaps[:, k].reshape(self.shape))
                 found[c] = follow(self.family, coefficients[:, c], rounding[c], start, self.spacing / 2, steps)
@@ -80,8 +92,10 @@ class SearchGrid:
 
         modes: Any = ["wrap" if face == "wraps" else "nearest" for face, _ in self.family.faces]
         scale = np.mean(np.abs(gap))
-        # Where the function is large, it may fall far below the lowest of the nodes about a minimum.
-        low = np.argwhere((gap < 0.1 * scale) | (gap <= minimum_filter(gap, 3, mode=modes)))
+        # Where the function is large, it may fall far below the lowest of the nodes about a minimum. Rounding may set
+        # a pair of nodes apart that mirror each other, and the lower one may be of the half that is dropped below.
+        minimal = gap <= minimum_filter(gap, 3, mode=modes) + 1e-12 * scale
+        low = np.argwhere((gap < 0.1 * scale) | minimal)
         if self.family.swaps:  # the other half says the same
             low = low[low[:, 0] <= low[:, 1]]
         step, predicted = _predict(gap, low, self.family.faces)
@@ -97,12 +111,12 @@ class SearchGrid:
         return np.minimum(self.nodes[flat] + step[chosen] * self.spacing, _limit(self.family))
 
 
-def _predict(gap: np.ndarray, nodes: np.ndarray, faces: tuple[tuple[Face, Face], ...]):
+def _predict(gap: np.ndarray, nodes: np.ndarray, faces: tuple[tuple[Face, Face], ...]) -> tuple[np.ndarray, np.ndarray]:
     """Step [nodes] towards the minimum of the quadratic about each node, no further than a node, and its value."""
     padded = gap
-    for axis, sides in enumerate(faces):
-        for side, face in enumerate(sides):
-            padded = _continued(padded, axis, side, face)
+    for axis, (face, _) in enumerate(faces):
+        width = [(1, 1) if a == axis else (0, 0) for a in range(gap.ndim)]
+        padded = np.pad(padded, width, **BEYOND[face])
     here = nodes + 1
 
     def at(*shifts):
@@ -111,16 +125,6 @@ def _predict(gap: np.ndarray, nodes: np.ndarray, faces: tuple[tuple[Face, Face],
     values = at(*stencil(gap.ndim)).T
     step, predicted = _descend(values, gap.ndim)
     return step, np.minimum(predicted, values[:, 0])
-
-
-def _continued(gap: np.ndarray, axis: int, side: int, face: Face) -> np.ndarray:
-    """The grid with another node beyond one face."""
-    n = gap.shape[axis]
-    edge, inner, last = (0, 1, n - 1) if side == 0 else (n - 1, n - 2, 0)
-    edge, inner, last = (np.take(gap, [k], axis) for k in (edge, inner, last))
-    # Where it is neither periodic nor even, the function goes on in a straight line: the slope decides.
-    beyond = {"wraps": last, "mirrors": inner}.get(face, 2 * edge - inner)
-    return np.concatenate([beyond, gap] if side == 0 else [gap, beyond], axis)
 
 
 def stencil(d: int) -> np.ndarray:
@@ -176,9 +180,10 @@ def follow(
     """
     shifts, d = stencil(x.shape[1]), x.shape[1]
     limit, first = _limit(family), spacing
+    column, allowed = jnp.asarray(coefficients[:, None]), jnp.asarray([rounding], jnp.float64)
 
     def gaps(points):
-        return _gaps(family, coefficients[:, None], np.array([rounding]), points)[:, 0]
+        return _gaps(family, column, allowed, points)[:, 0]
 
     def descended(x, best, spacing):
         """One step of all points; the last is their stencils' new size."""
@@ -206,10 +211,9 @@ def follow(
     return Minima(x, best)
 
 
-def _gaps(family: Family, columns: np.ndarray, rounding: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _gaps(family: Family, columns: Array, rounding: Array, x: np.ndarray) -> np.ndarray:
     """Gaps `(n, channels)` of points, in chunks."""
-    coefficients, allowed = jnp.asarray(columns), jnp.asarray(rounding, jnp.float64)
-    return in_chunks(lambda p: family_gaps(family, coefficients, allowed, p), x)
+    return in_chunks(lambda p: family_gaps(family, columns, rounding, p), x)
 
 
 def channel_blocks(coefficients: np.ndarray, channels: list[int]) -> Iterator[tuple[list[int], np.ndarray]]:

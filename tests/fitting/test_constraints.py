@@ -12,7 +12,7 @@ from hshjax.fitting import NORMS, Outcome, project
 from hshjax.fitting._certificate import STAGES, STRIDE, Certifier
 from hshjax.fitting._constraints import NonNegative
 from hshjax.fitting._least_distance import InfeasibleError, least_distance
-from hshjax.fitting._search import follow
+from hshjax.fitting._search import _predict, follow
 from hshjax.geometry import direction
 from hshjax.io import read_rgl
 from hshjax.metrics import albedo, negativity
@@ -143,6 +143,18 @@ def test_what_has_changed_is_looked_at_again_and_only_that(monkeypatch):
     # The same columns in blocks of other neighbours: the products round differently.
     assert_close(again.smallest, anew.smallest)
     assert_close(again.albedo, anew.albedo)
+
+
+def test_a_grid_that_wraps_has_no_first_node():
+    """What is predicted about a node does not depend on where the grid was cut open."""
+    gap = np.random.default_rng(0).normal(size=(7, 8))
+    nodes = np.argwhere(np.ones(gap.shape, bool))
+    faces = (("passes", "ends"), ("wraps", "wraps"))
+    step, predicted = _predict(gap, nodes, faces)
+    for turn in (1, 7):
+        rolled = _predict(np.roll(gap, turn, axis=1), nodes, faces)
+        assert_close(rolled[0].reshape(7, 8, 2), np.roll(step.reshape(7, 8, 2), turn, axis=1))
+        assert_close(rolled[1].reshape(7, 8), np.roll(predicted.reshape(7, 8), turn, axis=1))
 
 
 @pytest.mark.skipif(not X64, reason="a search in float64")
