@@ -92,3 +92,19 @@ def frame(normal: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     tangent = jnp.stack([1 + sign * x * x * a, sign * b, -sign * x], axis=-1)
     bitangent = jnp.stack([b, sign + y * y * a, -y], axis=-1)
     return jnp.stack([tangent, bitangent, normal], axis=-2)
+
+
+def azimuth(w: Float[Array, "*batch 3"]) -> tuple[Float[Array, " *batch"], Float[Array, " *batch"]]:
+    """(cos φ, sin φ); at the poles φ = 0."""
+    rim = jnp.hypot(w[..., 0], w[..., 1])
+    tilted = rim > 0
+    safe = jnp.where(tilted, rim, 1)
+    return jnp.where(tilted, w[..., 0] / safe, 1), jnp.where(tilted, w[..., 1] / safe, 0)
+
+
+def meridian_frame(normal: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
+    """A rotation as of `frame`, whose tangent points along the meridian, away from +z. No derivative at the poles."""
+    (cos, sin), z, rim = azimuth(normal), normal[..., 2], jnp.hypot(normal[..., 0], normal[..., 1])
+    tangent = jnp.stack([z * cos, z * sin, -rim], axis=-1)
+    bitangent = jnp.stack([-sin, cos, jnp.zeros_like(z)], axis=-1)
+    return jnp.stack([tangent, bitangent, normal], axis=-2)
