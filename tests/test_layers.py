@@ -20,6 +20,7 @@ FLOORS = {
     "samples": 1,
     "brdfs": 2,
     "lighting": 3,
+    "camera": 3,
     "surface": 3,
     "io": 3,
     "reflectance": 4,
@@ -35,11 +36,12 @@ SAME_FLOOR = {
     "geometry": {"_typing"},
     "quadrature": {"_typing", "_special", "geometry"},
     "metrics": {"_typing", "_special", "geometry", "quadrature"},
+    "surface": {"camera"},
     "cli": {"plotting"},
 }
 """The only imports that stay on one floor, each in one direction."""
 
-LAZY = {"OpenEXR", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "typer"}
+LAZY = {"OpenEXR", "embreex", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "typer"}
 """Heavy or optional: imported inside the function that needs them, so that `import hshjax` is quick without them."""
 
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve"}
@@ -172,16 +174,18 @@ def test_no_file_imports_pickle(path):
 
 
 def test_library_imports_only_its_declared_dependencies():
-    """So that a plain install has them; floor 7 may use the extra `experiments`. Import and package names agree."""
+    """So that a plain install has them, or an extra: `experiments` on floor 7, `mesh` for surfaces. Import and package
+    names agree."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
     def package_names(requirements):
         return {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements}
 
     declared = package_names(project["dependencies"])
-    optional = package_names(project["optional-dependencies"]["experiments"])
+    extras = {name: package_names(found) for name, found in project["optional-dependencies"].items()}
     assert {"jax", "numpy"} <= declared
     for path in LIBRARY:
-        allowed = declared | (optional if FLOORS.get(room(path)) == 7 else set())
+        allowed = declared | (extras["experiments"] if FLOORS.get(room(path)) == 7 else set())
+        allowed |= extras["mesh"] if room(path) == "surface" else set()
         found = top_level_names(path, lazy=True)
         assert found - set(sys.stdlib_module_names) - {"hshjax"} <= allowed, path
