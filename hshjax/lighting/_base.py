@@ -13,12 +13,14 @@ class Points(eqx.Module):
 
     - `frame`: rotation from the world to the local frame of each point, whose rows are tangent, bitangent, normal.
     - `position`: in the world, in the unit of the lights' positions; None where nobody has told.
-    - `index`: number of each point among all that are shaded, for lights that know something about every pixel.
+    - `pixels`, `index`: shape of all that are shaded, and the number of each point among them, for lights that know
+      something about every pixel.
     """
 
     frame: Float[Array, "n 3 3"]
     position: Float[Array, "n 3"] | None
     index: Int[Array, " n"]
+    pixels: tuple[int, ...] = eqx.field(static=True)
 
 
 class Incident(eqx.Module):

@@ -34,6 +34,9 @@ class MaskedLight(AbstractLighting):
         return self.light.needs_positions
 
     def incident(self, points: Points) -> Incident:
+        if self.visible.shape[:-1] != points.pixels:
+            expected = (*points.pixels, self.emitters)
+            raise ValueError(f"visible must have shape {expected} for these normals, got {self.visible.shape}")
         incident = self.light.incident(points)
         visible = in_dtype(self, points.frame.dtype).visible.reshape(-1, self.emitters)[points.index]
         return Incident(incident.direction, incident.irradiance * visible[:, :, None])
