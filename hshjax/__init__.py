@@ -43,6 +43,7 @@ from hshjax.brdfs import (
     Ward as Ward,
     bounded as bounded,
 )
+from hshjax.camera import OrthographicCamera as OrthographicCamera, PerspectiveCamera as PerspectiveCamera
 from hshjax.fitting import (
     NORMS as NORMS,
     AbstractTerm as AbstractTerm,
@@ -89,8 +90,10 @@ from hshjax.lighting import (
     DirectionalLight as DirectionalLight,
     EnvironmentMap as EnvironmentMap,
     HarmonicLight as HarmonicLight,
+    Horizon as Horizon,
     MaskedLight as MaskedLight,
     PointLight as PointLight,
+    ShadowedLight as ShadowedLight,
 )
 from hshjax.metrics import (
     Negativity as Negativity,
@@ -107,7 +110,8 @@ from hshjax.quadrature import (
     isotropic_pair_rule as isotropic_pair_rule,
     pair_rule as pair_rule,
 )
-from hshjax.reflectance import reflect as reflect
+from hshjax.reflectance import Scene as Scene, reflect as reflect, render as render
 from hshjax.samples import Samples as Samples
+from hshjax.surface import Surface as Surface, height_field as height_field, mesh as mesh, sphere as sphere
 
 __version__ = "0.1.0"

@@ -40,7 +40,7 @@ BEYOND: dict[Face, Any] = {
     "passes": STRAIGHT,
     "ends": STRAIGHT,
 }
-"""How `numpy.pad` continues a grid beyond the two faces of a coordinate; in a straight line, the slope decides there."""
+"""How `numpy.pad` continues a grid beyond the faces of a coordinate: the last two in a straight line."""
 
 
 class Minima(NamedTuple):

@@ -6,12 +6,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from hshjax._typing import Array, Float, Real
+from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.bases import SphericalHarmonics
 from hshjax.bases._base import matmul
+from hshjax.bases._rotation import rotated
+from hshjax.brdfs import Lambert
 from hshjax.brdfs._base import floating, in_dtype
 from hshjax.lighting._base import AbstractLighting, Incident, Points
 from hshjax.lighting._environment import EnvironmentMap
+from hshjax.lighting._order import visible_order
 from hshjax.quadrature import hemisphere_rule
 
 
@@ -27,8 +30,9 @@ class HarmonicLight(AbstractLighting):
     `coefficients` `(modes, channels)`, (order + 1)² modes as in `SphericalHarmonics`: orthonormal, without
     Condon-Shortley sign, n rising, then m from -n to n.
 
-    In the reflectance equation it is summed over a rule on the hemisphere of each point, exact to `degree` (None: 64,
-    or twice the order where that is more); a higher one is worth its cost where the BRDF has sharp lobes.
+    In the reflectance equation it is summed over a rule on the hemisphere of each point (z = v², as HSH ask for), exact
+    to `degree`: the higher, the sharper the lobes of the BRDF may be. None: in closed form under a BRDF that is linear
+    in a basis, see `reflect`; else a degree of 48, or twice the order where that is more.
 
     **Raises:** ValueError for a number of modes that is not a square, or other shapes.
     """
@@ -52,12 +56,17 @@ class HarmonicLight(AbstractLighting):
         return SphericalHarmonics(self.order)
 
     @property
+    def closed(self) -> bool:
+        """Whether the reflectance equation may take it in closed form: nobody has asked for a rule."""
+        return self.degree is None
+
+    @property
     def emitters(self) -> int:
         return self._rule(None).weight.size
 
     def _rule(self, dtype):
-        degree = max(64, 2 * self.order) if self.degree is None else self.degree
-        return hemisphere_rule(degree, dtype=dtype)
+        degree = max(48, 2 * self.order) if self.degree is None else self.degree
+        return hemisphere_rule(degree, sqrt=True, dtype=dtype)
 
     def incident(self, points: Points) -> Incident:
         light, rule = in_dtype(self, points.frame.dtype), self._rule(points.frame.dtype)
@@ -69,14 +78,31 @@ class HarmonicLight(AbstractLighting):
         """The radiance from directions `(*batch, 3)`, `(*batch, channels)`."""
         return self.basis.evaluate(self.coefficients, w)
 
+    def rotated(self, turn: Float[Array, "3 3"]) -> "HarmonicLight":
+        """The light turned with the world by a rotation: L'(w) = L(turnᵀ w)."""
+        return HarmonicLight(rotated(self.order, self.coefficients, turn), degree=self.degree)
+
     @classmethod
-    def from_environment(cls, environment: EnvironmentMap, order: int, *, degree: int | None = None) -> "HarmonicLight":
+    def from_environment(
+        cls,
+        environment: EnvironmentMap,
+        order: int | None = None,
+        *,
+        brdf: PairFunction | None = None,
+        tolerance: float = 0.01,
+        degree: int | None = None,
+    ) -> "HarmonicLight":
         """The light nearest to an environment map: least squares over its pixels, weighted by their solid angles.
 
-        For maps of fewer pixels than the order resolves the problem has no unique solution; `order` < height / 2 does.
+        `order` None: the smallest one at which radiance differs by less than `tolerance` from that under the map, for
+        surfaces of `brdf` (None: Lambert), relative and in the root mean square over orientations and views.
 
-        **Raises:** ValueError for an order that the map does not determine.
+        A map of n rows determines orders below n / 2, one of fewer columns than rows those below half its columns.
+
+        **Raises:** ValueError for an order that the map does not determine, and where none is enough.
         """
+        if order is None:
+            order = visible_order(Lambert(1.0) if brdf is None else brdf, environment, tolerance)
         height, width, _ = environment.radiance.shape
         if 2 * order >= min(height, width):
             raise ValueError(f"a map of {height} x {width} pixels determines orders below {min(height, width) / 2:g}")

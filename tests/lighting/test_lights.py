@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from hshjax.bases import SphericalHarmonics
+from hshjax.brdfs import GGX, Lambert
 from hshjax.geometry import frame
 from hshjax.lighting import DirectionalLight, EnvironmentMap, HarmonicLight, MaskedLight, PointLight, Points
+from hshjax.reflectance import reflect
 from tests.helpers import DTYPE, X64, assert_close, directions
 
 SOFT = 1e-10 if X64 else 1e-4
@@ -16,7 +18,7 @@ SOFT = 1e-10 if X64 else 1e-4
 
 def points(n=3, *, positions=True):
     position = jnp.arange(3.0 * n, dtype=DTYPE).reshape(n, 3) / 7
-    return Points(frame(directions(0, n)), position if positions else None, jnp.arange(n))
+    return Points(frame(directions(0, n)), position if positions else None, jnp.arange(n), (n,))
 
 
 def coefficients(order, channels=2):
@@ -32,7 +34,7 @@ def test_a_directional_light_does_not_mind_the_length_of_its_direction():
 
 def test_a_point_light_falls_with_the_square_of_the_distance():
     light = PointLight(jnp.asarray([0.0, 0.0, 2.0], DTYPE), 8.0)
-    at = Points(frame(directions(0, 2)), jnp.asarray([[0.0, 0, 0], [0, 0, 1.5]], DTYPE), jnp.arange(2))
+    at = Points(frame(directions(0, 2)), jnp.asarray([[0.0, 0, 0], [0, 0, 1.5]], DTYPE), jnp.arange(2), (2,))
     incident = light.incident(at)
     assert_close(incident.irradiance[:, 0, 0], [2, 32])
     assert_close(incident.direction[:, 0], [[0, 0, 1], [0, 0, 1]])
@@ -109,7 +111,7 @@ def test_a_masked_light_goes_by_pixel_and_emitter():
     one = DirectionalLight(jnp.asarray([0, 0, 1.0], DTYPE), 2.0)
     light = MaskedLight(one + one, visible)
     assert_close(light.incident(points()).irradiance[:, :, 0], 2 * visible)
-    some = Points(points().frame, None, jnp.asarray([2, 2, 0]))
+    some = Points(points().frame, None, jnp.asarray([2, 2, 0]), (3,))
     assert_close(light.incident(some).irradiance[:, :, 0], 2 * visible[jnp.asarray([2, 2, 0])])
 
 
@@ -160,3 +162,35 @@ def test_refusals(case, unchecked):
 def test_a_sum_with_something_else():
     with pytest.raises(TypeError):
         DirectionalLight(jnp.ones(3), 1.0) + 1
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.02])
+def test_the_order_that_a_material_tells_apart(tolerance):
+    """Not too low: under the series that is chosen, radiance differs by less than asked for; nor much too high."""
+    radiance = 1 + jnp.asarray(np.random.default_rng(0).uniform(size=(8, 16, 2)) ** 4, DTYPE)
+    environment = EnvironmentMap(jnp.kron(radiance, jnp.ones((4, 4, 1), DTYPE)), up="z")
+    light = HarmonicLight.from_environment(environment, tolerance=tolerance)
+    normals = jnp.concatenate([directions(0, 50), -directions(1, 50)])
+    brdf = Lambert(jnp.ones(1, DTYPE))
+    truth = reflect(brdf, environment, normals, normals)
+
+    def error(order):
+        found = reflect(brdf, HarmonicLight.from_environment(environment, order), normals, normals)
+        return float(jnp.sqrt(jnp.mean((found - truth) ** 2) / jnp.mean(truth**2)))
+
+    assert error(light.order) < tolerance
+    assert light.order <= {0.1: 2, 0.02: 6}[tolerance]
+
+
+def test_sharper_lobes_need_higher_orders():
+    environment = EnvironmentMap(jnp.ones((16, 32, 1), DTYPE).at[4:6, 7:10].set(30), up="z")
+    order = [HarmonicLight.from_environment(environment, brdf=GGX(1.0, a), tolerance=0.05).order for a in (0.9, 0.6)]
+    assert order[0] < order[1]
+    with pytest.raises(ValueError, match="order 7, the highest that is tried for a map of 16 x 32 pixels"):
+        HarmonicLight.from_environment(environment, brdf=GGX(1.0, 0.05), tolerance=0.01)
+
+
+def test_masks_of_other_pixels(unchecked):
+    light = MaskedLight(DirectionalLight(jnp.ones(3), 1.0), jnp.ones((5, 1)))
+    with pytest.raises(ValueError, match=r"visible must have shape \(4, 1\) for these normals, got \(5, 1\)"):
+        reflect(Lambert(0.5), light, jnp.ones((4, 3)), jnp.ones(3))

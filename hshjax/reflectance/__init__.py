@@ -1,0 +1,4 @@
+"""The reflectance equation, Eq. 1 of the paper, and images by it."""
+
+from hshjax.reflectance._reflect import reflect as reflect
+from hshjax.reflectance._scene import Scene as Scene, render as render

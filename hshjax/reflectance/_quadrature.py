@@ -1,0 +1,47 @@
+"""Eq. 1 as a sum over the light's emitters: for any BRDF and any light."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float, PairFunction
+from hshjax.geometry import frame, upper
+from hshjax.lighting import AbstractLighting, Points
+
+PAIRS = 2**18
+"""Pairs of a point and an emitter that are looked at together unless the caller says otherwise: some tens of MB."""
+
+
+@eqx.filter_jit
+def sum_over_emitters(
+    brdf: PairFunction, lighting: AbstractLighting, given: dict[str, Any], pixels: tuple[int, ...], chunk: int | None
+) -> Float[Array, "n channels"]:
+    """Radiance that leaves points; `given` holds normals, view and positions (or None) of all of them, `(n, 3)` each.
+
+    `pixels` is the shape that the caller has them in, for lights that know something about every pixel.
+    """
+    n = given["normals"].shape[0]
+    chunk = max(1, min(PAIRS // lighting.emitters if chunk is None else chunk, n))
+    blocks = -(-n // chunk)
+    # The last block is filled up with the first points: values that are made up might have no finite derivative.
+    index = jnp.arange(blocks * chunk).reshape(blocks, chunk) % max(n, 1)
+
+    @jax.checkpoint
+    def block(part):
+        given, index = part
+        points = Points(frame(given["normals"]), given["positions"], index, pixels)
+        return _radiance(brdf, lighting, points, given["view"])
+
+    radiance = jax.lax.map(block, (jax.tree.map(lambda array: array[index], given), index))
+    return radiance.reshape(blocks * chunk, radiance.shape[2])[:n]
+
+
+def _radiance(brdf: PairFunction, lighting: AbstractLighting, points: Points, view: Float[Array, "n 3"]) -> Array:
+    incident = lighting.incident(points)
+    turn, exact = points.frame, jax.lax.Precision.HIGHEST
+    shape = (turn.shape[0], *incident.direction.shape[1:])
+    wi = jnp.einsum("nij,nej->nei", turn, jnp.broadcast_to(incident.direction, shape), precision=exact)
+    wo = jnp.broadcast_to(jnp.einsum("nij,nj->ni", turn, view, precision=exact)[:, None], shape)
+    return jnp.sum(brdf(wi, wo) * upper(wi[..., 2:]) * incident.irradiance, axis=1)

@@ -1,0 +1,58 @@
+"""Images of a scene: what `reflect` says of every pixel, under one light after another."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float, PairFunction
+from hshjax.camera import AbstractCamera
+from hshjax.lighting import AbstractLighting
+from hshjax.reflectance._reflect import reflect
+from hshjax.surface import Surface
+
+
+class Scene(eqx.Module):
+    """A surface of one material, seen by a camera, under lights that are switched on one after another.
+
+    - `brdf`: a BRDF, or any function of pairs of directions [sr^-1].
+    - `lights`: one for each image; a light that is the sum of several is one.
+    - `surface`: what the camera sees of the shape.
+    - `camera`: or, for an eye far away, the unit vector towards it `(3,)`.
+
+    **Raises:** ValueError for no lights, or for something else among them.
+    """
+
+    brdf: PairFunction
+    lights: tuple[AbstractLighting, ...] = eqx.field(converter=tuple)
+    surface: Surface
+    camera: AbstractCamera | Float[Array, " 3"]
+
+    def __check_init__(self):
+        if not self.lights:
+            raise ValueError("a scene needs at least one light")
+        for light in self.lights:
+            if not isinstance(light, AbstractLighting):
+                raise ValueError(f"lights of a scene must be lights, got {light!r}")
+
+
+def render(scene: Scene, *, chunk: int | None = None) -> Float[Array, "lights *pixels channels"]:
+    """Radiance `(lights, *pixels, channels)` [W m^-2 sr^-1] that reaches the camera; black where there is no surface.
+
+    Attached shadows only, and no light from one part of a surface to another; a `ShadowedLight` or `MaskedLight` adds
+    cast shadows. `chunk`: see `reflect`.
+
+    **Raises:** ValueError for a camera or lights that do not fit the surface.
+    """
+
+    def image(light):
+        surface = scene.surface
+        return reflect(scene.brdf, light, surface.normal, scene.camera, positions=surface.position, chunk=chunk)
+
+    structure, *others = (jax.tree.structure(light) for light in scene.lights)
+    leaves = zip(*(jax.tree.leaves(light) for light in scene.lights), strict=False)
+    if all(other == structure for other in others) and all(len({jnp.shape(x) for x in same}) == 1 for same in leaves):
+        # Lights of one kind are one program, run over and over.
+        return jax.lax.map(image, jax.tree.map(lambda *leaf: jnp.stack(leaf), *scene.lights))
+    images = [image(light) for light in scene.lights]
+    channels = max(one.shape[-1] for one in images)
+    return jnp.stack([jnp.broadcast_to(one, (*one.shape[:-1], channels)) for one in images])
