@@ -20,7 +20,7 @@ MATRIX := 3.11 3.12 3.13
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo test test-float64 test-float32 test-slow test-matrix lock bench clean setup
+.PHONY: help demo peers test test-float64 test-float32 test-slow test-matrix lock bench clean setup
 .PHONY: check check-lint check-format check-types check-floors
 
 help: ## List the targets
@@ -30,6 +30,9 @@ help: ## List the targets
 
 demo: $(VENV)/.installed ## Run configs/quickstart.toml; prints where its report is
 	$(PYTHON_IN_VENV) -m experiments configs/quickstart.toml
+
+peers: $(VENV)/.installed ## Make the environments of other renderers, in .peers (docs/run_experiments.md)
+	$(PYTHON_IN_VENV) -m experiments.peers
 
 test: test-float64 test-float32 ## Run the suite in float64, then what computes in float32 (without the slow tests)
 
@@ -79,7 +82,7 @@ bench: $(VENV)/.installed ## Run the benchmarks (not part of the tests)
 setup: $(VENV)/.installed ## Create the environment only
 
 clean: ## Remove environments, caches and build outputs; runs/ stays
-	rm -rf $(VENV) .venv-3.* .pytest_cache .ruff_cache .hypothesis build dist
+	rm -rf $(VENV) .venv-3.* .peers .pytest_cache .ruff_cache .hypothesis build dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PYTHON_IN_VENV):

@@ -1,0 +1,48 @@
+"""A script in the environment of a peer: arrays in, arrays out."""
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.peers._environments import environment
+from experiments.peers._errors import PeerError
+from experiments.peers._llvm import VARIABLE, llvm_library
+
+TAIL = 2000
+
+SCRIPTS = Path(__file__).parent
+
+
+def run(name: str, script: str, inputs: Mapping[str, Any], *, llvm: bool = False) -> dict[str, np.ndarray]:
+    """What `<script>.py` of this folder answers to arrays, numbers and strings, in a process of its own.
+
+    They travel in `.npz` files without pickle, see `exchange.answer`. `llvm`: the script needs LLVM's library.
+
+    **Raises:** PeerError with the end of what a failing script said; PeerUnavailableError; ValueError for inputs that
+    cannot travel.
+    """
+    arrays = {key: np.asarray(value) for key, value in inputs.items()}
+    for key, array in arrays.items():
+        if array.dtype.kind not in "biufU" or key in ("file", "allow_pickle"):  # names of savez's own arguments
+            raise ValueError(f"input {key!r} of {array.dtype} cannot travel")
+    python = environment(name)
+    variables = os.environ | ({VARIABLE: llvm_library()} if llvm else {})
+    with tempfile.TemporaryDirectory(prefix="hshjax-peer-") as folder:
+        given, wanted = (Path(folder) / f"{part}.npz" for part in ("given", "wanted"))
+        np.savez(given, **arrays)
+        path = SCRIPTS / f"{script}.py"
+        # -E and -s: packages of this project's environment must not be seen in the other.
+        done = subprocess.run(
+            [str(python), "-E", "-s", str(path), str(given), str(wanted)],
+            capture_output=True, text=True, check=False, env=variables,
+        )  # fmt: skip
+        if done.returncode or not wanted.exists():
+            said = (done.stderr.strip() or done.stdout.strip())[-TAIL:]
+            raise PeerError(f"{script} of {name} ended with status {done.returncode}:\n{said}")
+        with np.load(wanted, allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}

@@ -1,0 +1,19 @@
+"""What every script of a peer is: arrays in, arrays out. Runs inside the peer's environment, which has only NumPy."""
+
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+
+def answer(work: Callable[[dict[str, Any]], Mapping[str, Any]]) -> None:
+    """Reads the file named first on the command line, writes what `work` returns to the second; neither is pickled.
+
+    Numbers and strings arrive as such, everything else as arrays.
+    """
+    given, wanted = sys.argv[1:]
+    with np.load(given, allow_pickle=False) as file:
+        inputs = {name: file[name].item() if file[name].ndim == 0 else file[name] for name in file.files}
+    with open(wanted, "wb") as file:
+        np.savez(file, **work(inputs))
