@@ -110,7 +110,7 @@ from hshjax.quadrature import (
     isotropic_pair_rule as isotropic_pair_rule,
     pair_rule as pair_rule,
 )
-from hshjax.reflectance import Scene as Scene, reflect as reflect, render as render
+from hshjax.reflectance import Scene as Scene, monte_carlo as monte_carlo, reflect as reflect, render as render
 from hshjax.samples import Samples as Samples
 from hshjax.surface import Surface as Surface, height_field as height_field, mesh as mesh, sphere as sphere
 

@@ -1,6 +1,6 @@
 """Light from everywhere around, as an image of it."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -52,9 +52,21 @@ class EnvironmentMap(AbstractLighting):
         height, width, _ = self.radiance.shape
         theta = np.pi * (np.arange(height) + 0.5) / height
         turn = 2 * np.pi * (np.arange(width) + 0.5) / width
-        right, ahead = (np.sin(theta)[:, None] * f(turn) for f in (np.sin, np.cos))
-        above = np.broadcast_to(np.cos(theta)[:, None], right.shape)
-        return np.stack([right, ahead, above] if self.up == "z" else [right, above, -ahead], axis=-1)
+        return self.towards(theta[:, None], turn[None, :])
+
+    def towards(self, theta: Any, turn: Any) -> Any:
+        """Directions `(*batch, 3)` at polar angles and turns to the right from the left edge of the image [radians]."""
+        xp = np if isinstance(theta, np.ndarray) else jnp
+        right, ahead = xp.sin(theta) * xp.sin(turn), xp.sin(theta) * xp.cos(turn)
+        above = xp.broadcast_to(xp.cos(theta), right.shape)
+        return xp.stack([right, ahead, above] if self.up == "z" else [right, above, -ahead], axis=-1)
+
+    def polar(self, w: Float[Array, "*batch 3"]) -> tuple[Float[Array, " *batch"], Float[Array, " *batch"]]:
+        """Polar angles and turns in [0, 2π] of directions: the inverse of `towards`."""
+        right, ahead, above = (
+            (w[..., 0], w[..., 1], w[..., 2]) if self.up == "z" else (w[..., 0], -w[..., 2], w[..., 1])
+        )
+        return jnp.arctan2(jnp.hypot(right, ahead), above), jnp.mod(jnp.arctan2(right, ahead), 2 * np.pi)
 
     @property
     def solid_angle(self) -> np.ndarray:
@@ -74,12 +86,9 @@ class EnvironmentMap(AbstractLighting):
         (w,) = as_directions(w)
         height, width, _ = self.radiance.shape
         radiance = self.radiance.astype(w.dtype)
-        right, ahead, above = (
-            (w[..., 0], w[..., 1], w[..., 2]) if self.up == "z" else (w[..., 0], -w[..., 2], w[..., 1])
-        )
-        theta = jnp.arctan2(jnp.hypot(right, ahead), above)
+        theta, turn = self.polar(w)
         row = jnp.clip(theta / np.pi * height - 0.5, 0, height - 1)
-        column = jnp.mod(jnp.arctan2(right, ahead) / (2 * np.pi) * width - 0.5, width)
+        column = jnp.mod(turn / (2 * np.pi) * width - 0.5, width)
         top, left = jnp.floor(row), jnp.floor(column)
         down, over = (row - top)[..., None], (column - left)[..., None]
         i, j = top.astype(int), left.astype(int) % width

@@ -102,7 +102,7 @@ class HarmonicLight(AbstractLighting):
         **Raises:** ValueError for an order that the map does not determine, and where none is enough.
         """
         if order is None:
-            order = visible_order(Lambert(1.0) if brdf is None else brdf, environment, tolerance)
+            order = visible_order(Lambert(jnp.ones(1)) if brdf is None else brdf, environment, tolerance)
         height, width, _ = environment.radiance.shape
         if 2 * order >= min(height, width):
             raise ValueError(f"a map of {height} x {width} pixels determines orders below {min(height, width) / 2:g}")

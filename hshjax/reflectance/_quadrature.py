@@ -1,7 +1,5 @@
 """Eq. 1 as a sum over the light's emitters: for any BRDF and any light."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +7,7 @@ import jax.numpy as jnp
 from hshjax._typing import Array, Float, PairFunction
 from hshjax.geometry import frame, upper
 from hshjax.lighting import AbstractLighting, Points
+from hshjax.reflectance._given import Given
 
 PAIRS = 2**18
 """Pairs of a point and an emitter that are looked at together unless the caller says otherwise: some tens of MB."""
@@ -16,13 +15,10 @@ PAIRS = 2**18
 
 @eqx.filter_jit
 def sum_over_emitters(
-    brdf: PairFunction, lighting: AbstractLighting, given: dict[str, Any], pixels: tuple[int, ...], chunk: int | None
+    brdf: PairFunction, lighting: AbstractLighting, given: Given, chunk: int | None
 ) -> Float[Array, "n channels"]:
-    """Radiance that leaves points; `given` holds normals, view and positions (or None) of all of them, `(n, 3)` each.
-
-    `pixels` is the shape that the caller has them in, for lights that know something about every pixel.
-    """
-    n = given["normals"].shape[0]
+    """Radiance that leaves points."""
+    n = given.normals.shape[0]
     chunk = max(1, min(PAIRS // lighting.emitters if chunk is None else chunk, n))
     blocks = -(-n // chunk)
     # The last block is filled up with the first points: values that are made up might have no finite derivative.
@@ -30,11 +26,11 @@ def sum_over_emitters(
 
     @jax.checkpoint
     def block(part):
-        given, index = part
-        points = Points(frame(given["normals"]), given["positions"], index, pixels)
-        return _radiance(brdf, lighting, points, given["view"])
+        normals, view, positions, index = part
+        return _radiance(brdf, lighting, Points(frame(normals), positions, index, given.pixels), view)
 
-    radiance = jax.lax.map(block, (jax.tree.map(lambda array: array[index], given), index))
+    normals, view, positions = (None if a is None else a[index] for a in (given.normals, given.view, given.positions))
+    radiance = jax.lax.map(block, (normals, view, positions, index))
     return radiance.reshape(blocks * chunk, radiance.shape[2])[:n]
 
 

@@ -11,14 +11,11 @@ from functools import reduce
 from operator import add
 from typing import Any
 
-import jax
-import jax.numpy as jnp
-
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.bases import IsotropicBasis
 from hshjax.camera import AbstractCamera
-from hshjax.geometry import as_directions
 from hshjax.lighting import AbstractLighting, HarmonicLight
+from hshjax.reflectance._given import Given, given
 from hshjax.reflectance._harmonic import harmonic_radiance
 from hshjax.reflectance._parts import as_series, brdfs_of, lights_of
 from hshjax.reflectance._quadrature import sum_over_emitters
@@ -52,45 +49,33 @@ def reflect(
 
     **Raises:** ValueError for a light or camera that needs positions and gets none, and for shapes that do not fit.
     """
-    if positions is None and lighting.needs_positions:
-        raise ValueError("this light depends on where the points are: give their positions")
-    if isinstance(view, AbstractCamera):
-        view = view.view(positions if view.needs_positions else None)
-    normals, view = as_directions(normals, view)
-    if positions is not None:
-        normals, view, positions = as_directions(normals, view, positions)
-    given = {"normals": normals, "view": view, "positions": positions}
-    for name, array in given.items():
-        if array is not None and array.shape not in (normals.shape, (3,)):
-            raise ValueError(f"{name} must have shape (3,) or that of the normals, {normals.shape}, got {array.shape}")
     if chunk is not None and chunk < 1:
         raise ValueError(f"chunk must be >= 1, got {chunk}")
-    pixels = normals.shape[:-1]
-    flat = jax.tree.map(lambda array: jnp.broadcast_to(array, normals.shape).reshape(-1, 3), given)
-    radiance = reduce(add, _contributions(brdf, lighting, flat, view, pixels, chunk))
-    return radiance.reshape(*pixels, radiance.shape[1])
+    points = given(lighting, normals, view, positions)
+    radiance = reduce(add, _contributions(brdf, lighting, points, chunk))
+    return radiance.reshape(*points.pixels, radiance.shape[1])
 
 
-def _contributions(brdf, lighting, flat, view, pixels, chunk) -> Iterator[Float[Array, "n #channels"]]:
+def _contributions(brdf, lighting, points: Given, chunk) -> Iterator[Float[Array, "n #channels"]]:
     """What the pairs of a part of the BRDF and a part of the light add to the radiance."""
 
     def in_closed_form(series, light):
-        if view.ndim == 1 and isinstance(series.basis, IsotropicBasis):
-            return map_radiance(series, light, flat["normals"], view)
-        return harmonic_radiance(series, light, flat["normals"], flat["view"], chunk)
+        if points.eye is not None and isinstance(series.basis, IsotropicBasis):
+            return map_radiance(series, light, points.normals, points.eye)
+        return harmonic_radiance(series, light, points.normals, points.view, chunk)
 
     harmonic, lights = _partition(lights_of(lighting), lambda light: isinstance(light, HarmonicLight) and light.closed)
     series, others = _partition(brdfs_of(brdf), lambda part: as_series(part) is not None)
     if not harmonic or not series:
-        yield sum_over_emitters(brdf, lighting, flat, pixels, chunk)
+        yield sum_over_emitters(brdf, lighting, points, chunk)
         return
     for part in series:
         for light in harmonic:
             yield in_closed_form(as_series(part), light)
     if others:
-        yield sum_over_emitters(reduce(add, others), reduce(add, harmonic), flat, pixels, chunk)
+        yield sum_over_emitters(reduce(add, others), reduce(add, harmonic), points, chunk)
     if lights:
-        yield sum_over_emitters(brdf, reduce(add, lights), flat, pixels, chunk)
+        yield sum_over_emitters(brdf, reduce(add, lights), points, chunk)
 
 
 def _partition(parts: list, chosen: Callable[[Any], bool]) -> tuple[list, list]:

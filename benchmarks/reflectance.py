@@ -1,0 +1,189 @@
+"""Time of the reflectance equation beside Mitsuba 3 and beside its own quadrature: python -m benchmarks.reflectance
+
+A sphere of `--size` pixels, an isotropic BRDF of order 8 fitted to a GGX lobe, a harmonic light of order 8, three
+channels, float32. The rows, one line of JSON each:
+
+- `value` and `gradient` (value and gradient by the light and the BRDF) of Mitsuba 3 (llvm_ad_rgb, 64 samples a pixel,
+  the same light as a map of 64 x 32 pixels) and of `reflect`, medians over rounds in which each takes its turn;
+- the closed form against quadrature of the degree that reaches 1e-3 of it, relative and root mean square;
+- time and peak memory of the closed form against the number of pixels.
+
+`--mitsuba no` leaves the peer out. Its noise is stated beside its times: what it would take to have as little.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import hshjax
+from experiments import peers
+
+ORDER = 8
+ALPHA = 0.4
+"""Roughness of the material: what an isotropic series of order 8 holds to some percent."""
+
+SIZES = (256, 512, 1024, 2048)
+
+
+def light() -> hshjax.HarmonicLight:
+    """Order 8, positive: smooth light from above, with a window."""
+    empty = hshjax.EnvironmentMap(jnp.zeros((64, 128, 1), jnp.float32), up="y")
+    w = empty.direction
+    window = np.exp(6 * (w @ np.array([0.5, 0.6, 0.62]) - 1))
+    radiance = 0.5 + 0.3 * w[..., 1:2] + window[..., None] * np.array([3.0, 2.5, 2.0])
+    return hshjax.HarmonicLight.from_environment(
+        hshjax.EnvironmentMap(jnp.asarray(radiance, jnp.float32), up="y"), ORDER
+    )
+
+
+def material() -> hshjax.LinearBRDF:
+    """GGX in norm D, three channels that differ in their albedo."""
+    samples = hshjax.Samples.from_function(
+        hshjax.GGX(jnp.asarray([1.0, 0.8, 0.6], jnp.float32), jnp.float32(ALPHA)),
+        hshjax.isotropic_pair_rule(32, dtype=jnp.float32),
+    )
+    return hshjax.project(hshjax.IsotropicBasis(hshjax.HSH(ORDER)), samples).model
+
+
+def sphere(size: int) -> jax.Array:
+    camera = hshjax.OrthographicCamera(
+        jnp.asarray([0, 0, 1], jnp.float32), jnp.asarray([0, 1, 0], jnp.float32), resolution=(size, size)
+    )
+    return hshjax.sphere(camera).normal
+
+
+def seconds(call: Callable[[], Any]) -> float:
+    begin = time.perf_counter()
+    jax.block_until_ready(call())
+    return time.perf_counter() - begin
+
+
+def calls(size: int, degree: int | None = None, *, far: bool = True) -> dict[str, Callable[[], Any]]:
+    """Compiled value, and value with its gradient by light and BRDF."""
+    normals, eye = sphere(size), jnp.asarray([0, 0, 1], jnp.float32)
+    view = eye if far else jnp.broadcast_to(eye, normals.shape)
+    model = material(), hshjax.HarmonicLight(light().coefficients, degree=degree)
+
+    @eqx.filter_jit
+    def value(model, normals, view):
+        return hshjax.reflect(*model, normals, view)
+
+    @eqx.filter_jit
+    @eqx.filter_value_and_grad
+    def gradient(model, normals, view):
+        return jnp.mean(hshjax.reflect(*model, normals, view))
+
+    return {"value": lambda: value(model, normals, view), "gradient": lambda: gradient(model, normals, view)}
+
+
+def beside_mitsuba(size: int, spp: int, rounds: int) -> dict[str, Any]:
+    """Medians [ms] of rounds in turn, one process of the peer a round; and the peer's relative noise."""
+    small = hshjax.EnvironmentMap(jnp.zeros((32, 64, 1), jnp.float32), up="y")
+    environment = np.maximum(np.asarray(light()(jnp.asarray(small.direction, jnp.float32))), 0)
+    inputs = {
+        "environment": environment, "bsdf": "ggx", "alpha": ALPHA, "variant": "llvm_ad_rgb",
+        "size": size, "spp": spp, "repeats": 5,
+    }  # fmt: skip
+    ours = {"far": calls(size), "near": calls(size, far=False)}
+    for group in ours.values():
+        for call in group.values():
+            seconds(call)
+    times: dict[str, list[float]] = {}
+    images = []
+    for _ in range(rounds):
+        for integrator in ("direct", "prb"):
+            found = peers.run("mitsuba", "mitsuba_timing", inputs | {"integrator": integrator}, llvm=True)
+            images.append(found["image"])
+            for kind in ("value", "gradient"):
+                times.setdefault(f"mitsuba {integrator} {kind}", []).extend(found[kind])
+        for name, group in ours.items():
+            for kind, call in group.items():
+                times.setdefault(f"closed form, eye {name}, {kind}", []).extend(seconds(call) for _ in range(5))
+    row = {name: round(1e3 * float(np.median(values)), 1) for name, values in times.items()}
+    for kind in ("value", "gradient"):
+        best = min(row[f"mitsuba {integrator} {kind}"] for integrator in ("direct", "prb"))
+        row |= {
+            f"times faster, eye {name}, {kind}": round(best / row[f"closed form, eye {name}, {kind}"], 1)
+            for name in ours
+        }
+    inside = np.asarray(sphere(size)).any(-1)
+    noise = np.std([image[inside] for image in images], axis=0) / np.mean(images, axis=0)[inside]
+    return {"pixels": size**2, "spp": spp, "median relative noise of a pixel": round(float(np.median(noise)), 4)} | row
+
+
+def beside_quadrature(size: int, rounds: int) -> dict[str, Any]:
+    """The lowest degree of a rule that is within 1e-3 of the closed form, and what it costs."""
+    exact = np.asarray(calls(size)["value"]())
+    for degree in (4, 6, 8, 10, 12, 16, 20, 24, 28, 32, 40, 48):
+        call = calls(size, degree)["value"]
+        error = float(np.sqrt(np.mean((np.asarray(call()) - exact) ** 2) / np.mean(exact**2)))
+        if error < 1e-3:
+            break
+    names = {"far": calls(size)["value"], "near": calls(size, far=False)["value"], "quadrature": call}
+    times = {name: [] for name in names}
+    for one in names.values():
+        seconds(one)
+    for _ in range(rounds):
+        for name, one in names.items():
+            times[name].append(seconds(one))
+    row = {f"{name} [ms]": round(1e3 * float(np.median(values)), 1) for name, values in times.items()}
+    ratios = {
+        f"times faster, eye {name}": round(row["quadrature [ms]"] / row[f"{name} [ms]"], 1) for name in ("far", "near")
+    }
+    return {"pixels": size**2, "degree": degree, "error": error} | row | ratios
+
+
+def of_pixels(size: int, kind: str, far: bool) -> dict[str, Any]:
+    """Time a pixel and the peak of this process."""
+    call = calls(size, far=far)[kind]
+    seconds(call)
+    median = float(np.median([seconds(call) for _ in range(5)]))
+    with open("/proc/self/status") as status:
+        peak = next(int(line.split()[1]) / 1e6 for line in status if line.startswith("VmHWM"))
+    return {
+        "eye": "far" if far else "near", "kind": kind, "pixels": size**2, "ms": round(1e3 * median, 1),
+        "ns a pixel": round(1e9 * median / size**2, 1), "peak [GB]": round(peak, 2),
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, default=256)
+    parser.add_argument("--spp", type=int, default=64)
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--mitsuba", choices=("yes", "no"), default="yes")
+    parser.add_argument("--only", nargs=3, metavar=("SIZE", "KIND", "EYE"), help="one row of the last table")
+    chosen = parser.parse_args()
+    if chosen.only:
+        size, kind, eye = chosen.only
+        print(json.dumps(of_pixels(int(size), kind, eye == "far")), flush=True)
+        return
+    common = {"load": round(os.getloadavg()[0], 1)}
+    if chosen.mitsuba == "yes":
+        print(
+            json.dumps({"benchmark": "mitsuba"} | common | beside_mitsuba(chosen.size, chosen.spp, chosen.rounds)),
+            flush=True,
+        )
+    print(
+        json.dumps({"benchmark": "quadrature"} | common | beside_quadrature(chosen.size // 4, chosen.rounds)),
+        flush=True,
+    )
+    for eye in ("far", "near"):
+        for kind in ("value", "gradient"):
+            for size in SIZES:  # a process each, for its peak of memory is its own
+                command = [sys.executable, "-m", "benchmarks.reflectance", "--only", str(size), kind, eye]
+                print(subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip(), flush=True)
+
+
+if __name__ == "__main__":
+    main()
