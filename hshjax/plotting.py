@@ -10,7 +10,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax import surface
 from hshjax._typing import PairFunction
+from hshjax.camera import OrthographicCamera
 from hshjax.geometry import direction
 from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
@@ -57,17 +59,10 @@ def sphere(brdf: PairFunction, light: tuple[float, float, float] = (-0.5, 0.5, 0
     Orthographic, seen along -z with x to the right and y up; `light` points from the sphere to the light, of any
     length. Pixels off the sphere are NaN. Linear values: see `display`.
     """
-    step = (np.arange(size) + 0.5) / size * 2 - 1
-    x, y = np.meshgrid(step, -step)
-    square = x * x + y * y
-    inside = square < 1
-    normals = np.stack([x, y, np.sqrt(np.where(inside, 1 - square, 0))], -1)[inside]
-    view = jnp.asarray([0.0, 0.0, 1.0])
-    sun = DirectionalLight(jnp.asarray(light, view.dtype), jnp.ones(1))
-    value = np.asarray(reflect(brdf, sun, jnp.asarray(normals, view.dtype), view))
-    image = np.full((size, size, value.shape[-1]), np.nan)
-    image[inside] = value
-    return image
+    camera = OrthographicCamera((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), resolution=(size, size))
+    seen = surface.sphere(camera)
+    radiance = reflect(brdf, DirectionalLight(light, jnp.ones(())), seen.normal, camera)
+    return np.where(seen.mask[..., None], np.asarray(radiance, float), np.nan)
 
 
 def exposure(radiance: np.ndarray, quantile: float = 0.95) -> float:

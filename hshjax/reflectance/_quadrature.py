@@ -9,8 +9,11 @@ from hshjax.geometry import frame, upper
 from hshjax.lighting import AbstractLighting, Points
 from hshjax.reflectance._given import Given
 
-PAIRS = 2**18
-"""Pairs of a point and an emitter that are looked at together unless the caller says otherwise: some tens of MB."""
+PAIRS = 2**15
+"""Pairs of a point and an emitter that are looked at together unless the caller says otherwise: some MB, in the cache.
+
+With 2^18 a GGX lobe under 32768 emitters took 1.4 times as long.
+"""
 
 
 @eqx.filter_jit

@@ -119,6 +119,7 @@ def test_seeds_shapes_and_variance():
     assert_close(dark.radiance, np.zeros((1, 2)))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="compares derivatives closely")
 def test_derivatives_are_those_of_the_mean():
     """By the BRDF and the normals, against the sum over emitters, as far as the scatter of 20 seeds allows."""

@@ -11,6 +11,7 @@ from hshjax.bases import HSH, IsotropicBasis, SphericalHarmonics
 from hshjax.brdfs import GGX, Lambert, LinearBRDF
 from hshjax.lighting import DirectionalLight, EnvironmentMap, HarmonicLight, MaskedLight, PointLight
 from hshjax.reflectance import reflect
+from tests.brdfs.cases import ALL_BRDFS
 from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions, mostly_slow
 
 UP = jnp.asarray([0, 0, 1.0], DTYPE)
@@ -187,6 +188,22 @@ def test_gradients_against_differences(name):
     check_grads(
         lambda *args: shade(*args, *(n, x)[len(args) - 1 :]), free, order=1, modes=("fwd", "rev"), rtol=1e-6, atol=1e-6
     )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not X64, reason="differences in float64")
+@pytest.mark.parametrize("name", [name for name in ALL_BRDFS if "flat" not in name and "smooth" not in name])
+def test_gradients_of_every_brdf_against_differences(name):
+    """In its parameters, a lamp nearby and the normals; two on a bound of theirs have no differences."""
+    n, x, lamp = directions(0, 3, min_z=0.9), random(1, 3, 3) / 4, PointLight(random(2, 3).at[2].set(3), 9.0)
+    arrays, static = eqx.partition((ALL_BRDFS[name], lamp), eqx.is_inexact_array)
+
+    def shade(*args):
+        arrays, n = jax.tree.map(jnp.asarray, args)
+        brdf, light = eqx.combine(arrays, static)
+        return reflect(brdf, light, n / jnp.linalg.norm(n, axis=-1, keepdims=True), UP, positions=x)
+
+    check_grads(shade, (arrays, n), order=1, modes=("fwd", "rev"), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", mostly_slow(KINDS, ["directional", "point", "harmonic"]))
