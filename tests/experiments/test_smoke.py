@@ -28,7 +28,16 @@ def test_every_recipe_has_a_smoke_config():
     assert [name for name in recipes.available() if f'recipe = "{name}"' not in used] == []
 
 
-LONG = ("material_fit", "measured_fits", "mitsuba_spheres", "reciprocity_filter", "recovery")
+LONG = (
+    "face_relit",
+    "joint_recovery",
+    "lighting_recovery",
+    "material_fit",
+    "measured_fits",
+    "mitsuba_spheres",
+    "reciprocity_filter",
+    "recovery",
+)
 """Their smaller parts are tested by themselves; one makes an environment for another renderer."""
 
 ALL = sorted((ROOT / "configs").rglob("*.toml"))
