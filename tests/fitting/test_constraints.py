@@ -204,11 +204,7 @@ def assert_valid(fit, constraints):
 
 @pytest.mark.parametrize(
     ("constraints", "norm"),
-    [
-        slow_unless((c, norm) == (BOTH, "A"), c, norm)
-        for c in (("non_negative",), ("energy",), BOTH)
-        for norm in NORMS
-    ],
+    [slow_unless((c, norm) == (BOTH, "A"), c, norm) for c in (("non_negative",), ("energy",), BOTH) for norm in NORMS],
 )
 def test_a_lobe_that_rings_is_certified(constraints, norm):
     """Bright enough to reflect more than comes in, so that either constraint has something to do."""
