@@ -30,7 +30,6 @@ def test_every_recipe_has_a_smoke_config():
 
 LONG = (
     "face_relit",
-    "joint_recovery",
     "lighting_recovery",
     "material_fit",
     "measured_fits",
