@@ -168,21 +168,24 @@ def powers(square: tuple[Real, Real], odd: tuple[Real, Real], orders: int) -> Fl
 
 
 def blockwise(function: Callable[..., Array], block: int, *arrays: Array) -> Array:
-    """`function(*arrays)` over the leading axis, `block` rows at a time, in bounded memory.
+    """`function(*arrays)` over the leading axis, at most `block` rows at a time, in bounded memory.
 
-    The last block overlaps the one before it instead of being padded: nothing is copied and no row is invented.
+    Blocks are scanned, in and out, so that a derivative costs as much at every block: slices of whole arrays in a loop
+    would each add a cotangent as long as all of them. Blocks are of a size that divides the rows, if one above half of
+    `block` does; otherwise the first rows are computed again to fill the last one, and what comes of them is dropped.
     """
     rows = arrays[0].shape[0]
     if rows <= block:
         return function(*arrays)
+    size = next((size for size in range(block, block // 2, -1) if rows % size == 0), None)
+    if size is None:
+        size = -(-rows // -(-rows // block))
+    again = -rows % size
 
-    def part(i):
-        start = jnp.minimum(i * block, rows - block)
-        return start, function(*(jax.lax.dynamic_slice_in_dim(a, start, block) for a in arrays))
+    def split(array):
+        if again:
+            array = jnp.concatenate([array, array[:again]])
+        return array.reshape(-1, size, *array.shape[1:])
 
-    def step(i, out):
-        start, value = part(i)
-        return jax.lax.dynamic_update_slice_in_dim(out, value, start, 0)
-
-    shape = jax.eval_shape(lambda: part(0)[1])
-    return jax.lax.fori_loop(0, -(-rows // block), step, jnp.zeros((rows, *shape.shape[1:]), shape.dtype))
+    out = jax.lax.map(lambda parts: function(*parts), tuple(map(split, arrays)))
+    return out.reshape(rows + again, *out.shape[2:])[:rows]
