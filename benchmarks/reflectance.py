@@ -6,18 +6,21 @@ channels, float32. The rows, one line of JSON each:
 - `value` and `gradient` (value and gradient by the light and the BRDF) of Mitsuba 3 (llvm_ad_rgb, 64 samples a pixel,
   the same light as a map of 64 x 32 pixels) and of `reflect`, medians over rounds in which each takes its turn;
 - the closed form against quadrature of the degree that reaches 1e-3 of it, relative and root mean square;
-- time and peak memory of the closed form against the number of pixels.
+- time and peak memory of the closed form against the number of pixels, drawn into `--figure`;
+- memory that quadrature takes for 1024 x 1024 normals under a map of 256 x 128, as the compiler counts it.
 
 `--mitsuba no` leaves the peer out. Its noise is stated beside its times: what it would take to have as little.
 """
 
 import argparse
+import itertools
 import json
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -156,12 +159,54 @@ def of_pixels(size: int, kind: str, far: bool) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def of_quadrature(size: int = 1024, rows: int = 128) -> dict[str, Any]:
+    """Inputs, results and temporaries [MB] of value and gradient, for all pixels under all emitters."""
+    empty = hshjax.EnvironmentMap(jnp.zeros((rows, 2 * rows, 1), jnp.float32), up="y")
+    radiance = jnp.maximum(light()(jnp.asarray(empty.direction, jnp.float32)), 0)
+    normals, eye = sphere(size), jnp.asarray([0, 0, 1], jnp.float32)
+    row: dict[str, Any] = {"pixels": size**2, "emitters": 2 * rows**2}
+    for name, brdf in {"GGX": hshjax.GGX(jnp.ones(3, jnp.float32), jnp.float32(ALPHA)), "series": material()}.items():
+
+        def value(model, normals):
+            return hshjax.reflect(*model, normals, eye)
+
+        def loss(model, normals):
+            return jnp.mean(value(model, normals))
+
+        model = brdf, hshjax.EnvironmentMap(radiance, up="y")
+        for kind, function in {"value": value, "gradient": eqx.filter_value_and_grad(loss)}.items():
+            found = eqx.filter_jit(function).lower(model, normals).compile().compiled.memory_analysis()
+            bytes_ = found.temp_size_in_bytes + found.argument_size_in_bytes + found.output_size_in_bytes
+            row[f"{name}, {kind} [MB]"] = round(bytes_ / 1e6)
+    return row
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Time a pixel and peak of memory against the number of pixels."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(8, 3.2), layout="constrained")
+    for (eye, kind), style in {
+        ("far", "value"): "C0-", ("far", "gradient"): "C0--", ("near", "value"): "C1-", ("near", "gradient"): "C1--",
+    }.items():  # fmt: skip
+        chosen = [row for row in rows if (row["eye"], row["kind"]) == (eye, kind)]
+        pixels = [row["pixels"] for row in chosen]
+        label = {"far": "eye far away", "near": "a direction for each pixel"}[eye] + f", {kind}"
+        axes[0].loglog(pixels, [row["ns a pixel"] / 1e3 for row in chosen], style, marker="o", label=label)
+        axes[1].semilogx(pixels, [row["peak [GB]"] for row in chosen], style, marker="o")
+    axes[0].set(xlabel="pixels", ylabel="time [µs a pixel]", ylim=(0.1, 10))
+    axes[1].set(xlabel="pixels", ylabel="peak of the process [GB]", ylim=(0, 1))
+    axes[0].legend(fontsize=7)
+    figure.savefig(path, dpi=120)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--mitsuba", choices=("yes", "no"), default="yes")
+    parser.add_argument("--figure", type=Path, help="a picture of the times against the number of pixels")
     parser.add_argument("--only", nargs=3, metavar=("SIZE", "KIND", "EYE"), help="one row of the last table")
     chosen = parser.parse_args()
     if chosen.only:
@@ -178,11 +223,15 @@ def main() -> None:
         json.dumps({"benchmark": "quadrature"} | common | beside_quadrature(chosen.size // 4, chosen.rounds)),
         flush=True,
     )
-    for eye in ("far", "near"):
-        for kind in ("value", "gradient"):
-            for size in SIZES:  # a process each, for its peak of memory is its own
-                command = [sys.executable, "-m", "benchmarks.reflectance", "--only", str(size), kind, eye]
-                print(subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip(), flush=True)
+    print(json.dumps({"benchmark": "memory of quadrature"} | of_quadrature()), flush=True)
+    rows = []
+    for eye, kind, size in itertools.product(("far", "near"), ("value", "gradient"), SIZES):
+        # A process each, for its peak of memory is its own.
+        command = [sys.executable, "-m", "benchmarks.reflectance", "--only", str(size), kind, eye]
+        rows.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
+        print(json.dumps(rows[-1]), flush=True)
+    if chosen.figure:
+        draw(rows, chosen.figure)
 
 
 if __name__ == "__main__":

@@ -143,6 +143,23 @@ def test_chunks_change_nothing(chunk):
     assert_close(reflect(brdf, masked, n, UP, positions=x, chunk=chunk), jnp.stack(parts))
 
 
+@pytest.mark.parametrize("kind", ["value", "gradient"])
+def test_memory_does_not_grow_with_pairs(kind):
+    """A million normals under a map of 32768 pixels, as the compiler counts it: pairs would be 10^5 times as much."""
+
+    def radiance(brdf, radiance, normals):
+        return reflect(brdf, EnvironmentMap(radiance, up="z"), normals, UP)
+
+    def loss(brdf, light, normals):
+        return jnp.mean(radiance(brdf, light, normals))
+
+    function = {"value": radiance, "gradient": jax.grad(loss, (0, 1, 2))}[kind]
+    light, normals = (jax.ShapeDtypeStruct(shape, DTYPE) for shape in ((128, 256, 3), (1024 * 1024, 3)))
+    brdf = GGX(jnp.ones(3, DTYPE), jnp.asarray(0.3, DTYPE))
+    found = jax.jit(function).lower(brdf, light, normals).compile().memory_analysis()
+    assert found.temp_size_in_bytes + found.argument_size_in_bytes + found.output_size_in_bytes < 0.5e9
+
+
 def test_shapes():
     light, brdf = lights()["harmonic"], Lambert(jnp.asarray([0.5, 0.5]))
     assert reflect(brdf, light, UP, UP).shape == (2,)
