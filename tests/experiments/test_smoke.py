@@ -30,6 +30,7 @@ def test_every_recipe_has_a_smoke_config():
 
 LONG = (
     "face_relit",
+    "joint_recovery",
     "lighting_recovery",
     "material_fit",
     "measured_fits",
