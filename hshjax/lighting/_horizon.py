@@ -11,6 +11,7 @@ from jax.core import Tracer
 from hshjax._typing import Array, Float, Int
 from hshjax.brdfs._base import floating, in_dtype
 from hshjax.lighting._base import AbstractLighting, Incident, Points
+from hshjax.lighting._shadow import AbstractShadedLight
 
 NOTHING = -1e3
 """Slope towards where nothing stands, the border of the field: 0.06 degrees from straight down, and finite."""
@@ -79,7 +80,7 @@ class Horizon(eqx.Module):
         return cls(_slopes(heights / spacing, *map(jnp.asarray, crossings)))
 
 
-class ShadowedLight(AbstractLighting):
+class ShadowedLight(AbstractShadedLight):
     """A light that a horizon hides from some pixels: `Horizon` asked for every emitter.
 
     An emitter is hidden or not as if it were infinitely far away: a lamp nearby has to lie beyond whatever stands in
@@ -92,20 +93,10 @@ class ShadowedLight(AbstractLighting):
     light: AbstractLighting
     horizon: Horizon
 
-    @property
-    def emitters(self) -> int:
-        return self.light.emitters
-
-    @property
-    def needs_positions(self) -> bool:
-        return self.light.needs_positions
-
-    def incident(self, points: Points) -> Incident:
+    def visible_from(self, points: Points, incident: Incident) -> Float[Array, "n emitters"]:
         if self.horizon.pixels != points.pixels:
             raise ValueError(f"a horizon of pixels {self.horizon.pixels} cannot shade normals {(*points.pixels, 3)}")
-        incident = self.light.incident(points)
-        visible = in_dtype(self.horizon, points.frame.dtype)(incident.direction, points.index)
-        return Incident(incident.direction, incident.irradiance * visible[:, :, None])
+        return in_dtype(self.horizon, points.frame.dtype)(incident.direction, points.index)
 
 
 def _crossings(shape: tuple[int, ...], azimuths: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
