@@ -61,7 +61,7 @@ class OrthographicCamera(AbstractCamera):
 
     `view(None)` is the one direction towards the eye, `(3,)`.
 
-    **Raises:** ValueError for other shapes, and for an `up` along `towards`.
+    **Raises:** ValueError for other shapes, a height that is not positive, and an `up` along `towards`.
     """
 
     towards: Float[Array, " 3"] = eqx.field(converter=floating)
@@ -72,6 +72,7 @@ class OrthographicCamera(AbstractCamera):
 
     def __check_init__(self):
         _check_shapes(self, ("towards", "up", "centre"), "height")
+        _check_range(self, "height", float("inf"))
         _check_up(self.up, self.towards)
 
     @property
@@ -99,7 +100,8 @@ class PerspectiveCamera(AbstractCamera):
       of any length and not necessarily at a right angle.
     - `field_of_view`: vertical, from edge to edge of the image [radians]. - `resolution`: (rows, columns).
 
-    **Raises:** ValueError for other shapes, for a target in the eye, and for an `up` along the line between them.
+    **Raises:** ValueError for other shapes, a field of view outside (0, π), a target in the eye, and an `up` along the
+    line between them.
     """
 
     eye: Float[Array, " 3"] = eqx.field(converter=floating)
@@ -110,6 +112,7 @@ class PerspectiveCamera(AbstractCamera):
 
     def __check_init__(self):
         _check_shapes(self, ("eye", "target", "up"), "field_of_view")
+        _check_range(self, "field_of_view", float(np.pi), " [radians]")
         if isinstance(self.eye, Tracer) or isinstance(self.target, Tracer):
             return
         eye, target = np.asarray(self.eye), np.asarray(self.target)
@@ -162,6 +165,13 @@ def _check_shapes(camera: AbstractCamera, vectors: tuple[str, ...], scalar: str)
         shape = getattr(camera, field).shape
         if shape != expected:
             raise ValueError(f"{type(camera).__name__} needs {field} of shape {expected}, got {shape}")
+
+
+def _check_range(camera: AbstractCamera, field: str, end: float, unit: str = "") -> None:
+    """ValueError outside (0, end); values inside a compiled program cannot be seen."""
+    value = getattr(camera, field)
+    if not isinstance(value, Tracer) and not 0 < value < end:
+        raise ValueError(f"{type(camera).__name__} needs {field} in (0, {end:.5g}){unit}, got {value}")
 
 
 def _check_up(up: Any, towards: Any) -> None:

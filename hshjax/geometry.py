@@ -47,7 +47,7 @@ def angles(w: Float[Array, "*batch 3"]) -> tuple[Float[Array, " *batch"], Float[
 def normalized(v: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """v / |v|; the zero vector stays zero, with zero gradient."""
     square = jnp.sum(v * v, axis=-1, keepdims=True)
-    nonzero = square > 0
+    nonzero = square != 0  # NaN stays NaN
     return jnp.where(nonzero, v / jnp.sqrt(jnp.where(nonzero, square, 1)), 0)
 
 
@@ -63,7 +63,7 @@ def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array
 
 def upper(z: Real) -> Real:
     """z on the closed hemisphere, 0 below it. The derivative at z = 0 is that from above, 1; `maximum` says 1/2."""
-    return jnp.where(z >= 0, z, 0)
+    return jnp.where(z < 0, 0, z)  # NaN stays NaN
 
 
 def to_disk(w: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:

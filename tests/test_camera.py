@@ -152,6 +152,14 @@ REFUSED = {
     ),
     "half a pixel": (lambda: OrthographicCamera([0, 0, 1], [0, 1, 0], resolution=(1.5, 2)), r"got \(1.5, 2\)"),
     "one size": (lambda: OrthographicCamera([0, 0, 1], [0, 1, 0], resolution=4), "got 4"),
+    "a height upside down": (
+        lambda: OrthographicCamera([0, 0, 1], [0, 1, 0], height=-2.0, resolution=(2, 2)),
+        r"height in \(0, inf\), got -2.0",
+    ),
+    "degrees": (
+        lambda: PerspectiveCamera([0, 0, 3], [0, 0, 0], [0, 1, 0], field_of_view=40.0, resolution=(2, 2)),
+        r"field_of_view in \(0, 3.1416\) \[radians\], got 40.0",
+    ),
     "two heights": (
         lambda: OrthographicCamera([0, 0, 1], [0, 1, 0], height=[1.0, 2.0], resolution=(2, 2)),
         r"height of shape \(\), got \(2,\)",

@@ -314,6 +314,7 @@ REFUSED = {
     "two radii": (lambda: sphere(front(), radius=jnp.ones(2)), r"a radius \(\), got \(3,\) and \(2,\)"),
     "no radius": (lambda: sphere(front(), radius=0), "radius must be positive, got 0.0"),
     "two rows": (lambda: height_field(jnp.ones((2, 5))), r"at least 3 of each, got \(2, 5\)"),
+    "a hole": (lambda: height_field(jnp.ones((3, 5)).at[1, 1].set(jnp.nan)), "finite, 1 are not: fill in what"),
     "no spacing": (lambda: height_field(jnp.ones((3, 5)), spacing=0), "spacing must be positive, got 0.0"),
     "two spacings": (
         lambda: height_field(jnp.ones((3, 5)), spacing=[1.0, 1.0]),

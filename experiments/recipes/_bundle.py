@@ -186,7 +186,6 @@ def looked_up(
         square += np.sum(entries**2, axis=1) / s**2 - 2 * (image / s) @ entries.T
     square += np.sum(known**2, axis=(0, 2))[:, None]
     square += np.sum((slopes[:, None] - tried) ** 2, axis=-1) / reach**2
-    square += np.sum((slopes[:, None] - tried) ** 2, axis=-1) / reach**2
     best = np.argmin(square, axis=1)
     better = square[np.arange(len(slopes)), best] < np.sum((shown(slopes) / sigma - known) ** 2, axis=(0, 2))
     return np.where(better[:, None], tried[best], slopes)

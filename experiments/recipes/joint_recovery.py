@@ -242,7 +242,7 @@ def _alternate(config, brdf, images, sigma, slopes, lights, rounds, fit_lights=T
     matrix, count = free_slopes(len(slopes)), len(images)
     if fit_lights:
         _, lights, _ = descend(brdf, images, sigma, matrix, slopes.T.ravel(), lights, steps=15, held=True)
-    best = np.inf
+    best, least = None, np.inf
     for _ in range(rounds):
         slopes = looked_up(brdf, images, sigma, slopes, lights, steepest=STEEPEST)
         weight = _weighed(equations(brdf, images, sigma, slopes, lights), count)
@@ -250,10 +250,12 @@ def _alternate(config, brdf, images, sigma, slopes, lights, rounds, fit_lights=T
         slopes = x.reshape(2, -1).T
         found = equations(brdf, images, sigma, slopes, lights)
         robust = float(np.sum(np.log1p(found.losses / (1.5 * count))))
-        if robust > (1 - 1e-3) * best:
+        if best is None or robust < least:
+            best = slopes, lights, found.loss
+        if robust > (1 - 1e-3) * least:
             break
-        best = robust
-    return slopes, lights, found.loss
+        least = robust
+    return best
 
 
 def _solve_heights(
@@ -422,7 +424,7 @@ def _row(config: Config, count: int, method: str, result: dict[str, Any], scene:
         "light [deg]": float(_angles(*toward).mean()),
         "irradiance": float(np.mean(np.linalg.norm(power - power_true, axis=1) / np.linalg.norm(power_true, axis=1))),
         "lights open": result["open"], "explained": result["explained"], "loss": result["loss"],
-        "starts": result["starts"], "that agree": result["agreed"],
+        "starts": result["starts"], "that agree": result["agreed"] if result["starts"] > 1 else None,
         "seconds": round(float(result["seconds"]), 1), "solved": bool(solved),
     }  # fmt: skip
 

@@ -5,6 +5,7 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from hshjax._special import powers
 from hshjax._typing import Array, Float
@@ -75,7 +76,16 @@ def spin(turn: Float[Array, "*batch 3 3"]) -> tuple[Float[Array, " *batch"], Flo
 
 
 def rotated(order: int, coefficients: Float[Array, "modes channels"], turn: Float[Array, "3 3"]) -> Array:
-    """Coefficients of f(turnᵀ w): the series as it looks in the frame whose rows `turn` holds."""
+    """Coefficients of f(turnᵀ w): the series as it looks in the frame whose rows `turn` holds.
+
+    **Raises:** ValueError for anything but a proper rotation, where its values can be seen.
+    """
+    if turn.shape != (3, 3):
+        raise ValueError(f"a rotation is a matrix (3, 3), got {turn.shape}")
+    if not isinstance(turn, Tracer):
+        square, sign = np.asarray(turn @ turn.T, np.float64), np.linalg.det(np.asarray(turn, np.float64))
+        if not (np.allclose(square, np.eye(3), atol=1e3 * float(jnp.finfo(turn.dtype).eps)) and sign > 0):
+            raise ValueError(f"a rotation has orthonormal rows and determinant 1, got {np.asarray(turn).tolist()}")
     sphere, dtype = SphericalHarmonics(order), coefficients.dtype
     m = np.abs(azimuthal(sphere)[0])
 

@@ -85,7 +85,7 @@ class AbstractBRDF(eqx.Module):
 def _above_the_horizon(brdf: AbstractBRDF, wi: Array, wo: Array) -> Array:
     shape = jnp.broadcast_shapes(wi.shape, wo.shape)
     wi, wo = jnp.broadcast_to(wi, shape), jnp.broadcast_to(wo, shape)
-    above = ((wi[..., 2] > 0) & (wo[..., 2] > 0))[..., None]
+    above = ~((wi[..., 2] <= 0) | (wo[..., 2] <= 0))[..., None]  # NaN is not below: it stays NaN
     # Directions below are replaced before the formula sees them: a masked infinity would still poison the gradient.
     pole = jnp.zeros(shape, wi.dtype).at[..., 2].set(1)
     value = in_dtype(brdf, wi.dtype).formula(jnp.where(above, wi, pole), jnp.where(above, wo, pole))

@@ -52,6 +52,9 @@ class AbstractLighting(eqx.Module):
         """Whether it depends on where a point is, not only on how it is turned."""
         return False
 
+    def __check_init__(self):
+        """ValueError for fields that do not describe one light."""
+
     @abc.abstractmethod
     def incident(self, points: Points) -> Incident:
         """The light at points, in the dtype of their frames."""
@@ -94,4 +97,5 @@ def check_vector(light: AbstractLighting, field: str) -> None:
     """ValueError unless a field has the shape (3,)."""
     shape = getattr(light, field).shape
     if shape != (3,):
-        raise ValueError(f"{type(light).__name__} needs {field} of shape (3,), got {shape}")
+        hint = "; many lights in one, as `jax.vmap` makes them, are taken apart by `jax.vmap`" if len(shape) > 1 else ""
+        raise ValueError(f"{type(light).__name__} needs {field} of shape (3,), got {shape}{hint}")

@@ -62,11 +62,17 @@ class EnvironmentMap(AbstractLighting):
         return xp.stack([right, ahead, above] if self.up == "z" else [right, above, -ahead], axis=-1)
 
     def polar(self, w: Float[Array, "*batch 3"]) -> tuple[Float[Array, " *batch"], Float[Array, " *batch"]]:
-        """Polar angles and turns in [0, 2π] of directions: the inverse of `towards`."""
+        """Polar angles and turns in [0, 2π] of directions: the inverse of `towards`.
+
+        Straight up and down the derivative, which does not exist, is 0.
+        """
         right, ahead, above = (
             (w[..., 0], w[..., 1], w[..., 2]) if self.up == "z" else (w[..., 0], -w[..., 2], w[..., 1])
         )
-        return jnp.arctan2(jnp.hypot(right, ahead), above), jnp.mod(jnp.arctan2(right, ahead), 2 * np.pi)
+        tilted = (right != 0) | (ahead != 0)
+        right, ahead = jnp.where(tilted, right, 0), jnp.where(tilted, ahead, 1)
+        rim = jnp.where(tilted, jnp.hypot(right, ahead), 0)
+        return jnp.arctan2(rim, above), jnp.mod(jnp.arctan2(right, ahead), 2 * np.pi)
 
     @property
     def solid_angle(self) -> np.ndarray:

@@ -79,8 +79,11 @@ class HarmonicLight(AbstractLighting):
         return self.basis.evaluate(self.coefficients, w)
 
     def rotated(self, turn: Float[Array, "3 3"]) -> "HarmonicLight":
-        """The light turned with the world by a rotation: L'(w) = L(turnᵀ w)."""
-        return HarmonicLight(rotated(self.order, self.coefficients, turn), degree=self.degree)
+        """The light turned with the world by a proper rotation: L'(w) = L(turnᵀ w).
+
+        **Raises:** ValueError for another matrix, a reflection for one.
+        """
+        return HarmonicLight(rotated(self.order, self.coefficients, jnp.asarray(turn)), degree=self.degree)
 
     @classmethod
     def from_environment(

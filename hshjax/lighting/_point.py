@@ -14,6 +14,8 @@ class PointLight(AbstractLighting):
     """Light from a point, the same in all directions: its irradiance falls with the square of the distance.
 
     - `position` `(3,)`: in the world, in the unit of the points' positions.
+    A point where the light itself is, is not lit by it: from there it has no direction.
+
     - `intensity`, a scalar or `(channels,)`: radiant intensity [W sr^-1], if that unit is the metre.
 
     **Raises:** ValueError for other shapes; where points have no positions.
@@ -40,4 +42,6 @@ class PointLight(AbstractLighting):
         light = in_dtype(self, points.frame.dtype)
         away = light.position[None] - points.position
         square = dot(away, away)[:, None, None]
-        return Incident(normalized(away)[:, None], jnp.reshape(light.intensity, (1, 1, -1)) / square)
+        apart = square != 0
+        irradiance = jnp.reshape(light.intensity, (1, 1, -1)) / jnp.where(apart, square, 1)
+        return Incident(normalized(away)[:, None], jnp.where(apart, irradiance, 0))

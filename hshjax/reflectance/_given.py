@@ -6,14 +6,16 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Float
 from hshjax.camera import AbstractCamera
-from hshjax.geometry import as_directions
+from hshjax.geometry import as_directions, normalized
 from hshjax.lighting import AbstractLighting
+from hshjax.reflectance._parts import lights_of
 
 
 class Given(NamedTuple):
     """Normals, directions to the eye and positions (or None) of `pixels` points, `(n, 3)` each in one dtype.
 
-    `eye` `(3,)` is the one direction towards an eye far away, or None.
+    Normals and directions are of unit length, but for points without a surface: all is 0 there. `eye` `(3,)` is the one
+    direction towards an eye far away, or None.
     """
 
     pixels: tuple[int, ...]
@@ -30,19 +32,29 @@ def given(
     positions: Float[Array, "... 3"] | None,
 ) -> Given:
     """**Raises:** ValueError for a light or camera that needs positions and gets none, and shapes that do not fit."""
+    for light in lights_of(lighting):
+        light.__check_init__()  # again: what `jax.vmap` has made is many lights in one
     if positions is None and lighting.needs_positions:
         raise ValueError("this light depends on where the points are: give their positions")
-    if isinstance(view, AbstractCamera):
-        view = view.view(positions if view.needs_positions else None)
-    normals, view = as_directions(normals, view)
+    (normals,) = as_directions(normals)
+    shape = normals.shape
+    surface = jnp.any(normals != 0, axis=-1, keepdims=True)
+
+    def flat(name, array):
+        if jnp.shape(array) not in (shape, (3,)):
+            raise ValueError(f"{name} must have shape (3,) or that of the normals, {shape}, got {jnp.shape(array)}")
+        # What is said of points without a surface counts nowhere, not even as the factor of a derivative.
+        return jnp.where(surface, array, jnp.zeros_like(array)).reshape(-1, 3)
+
     if positions is not None:
+        normals, positions = as_directions(normals, positions)
+        positions = flat("positions", positions)
+    if isinstance(view, AbstractCamera):
+        view = view.view(positions.reshape(shape) if positions is not None and view.needs_positions else None)
+    if positions is None:
+        normals, view = as_directions(normals, view)
+    else:
         normals, view, positions = as_directions(normals, view, positions)
-    for name, array in (("view", view), ("positions", positions)):
-        if array is not None and array.shape not in (normals.shape, (3,)):
-            raise ValueError(f"{name} must have shape (3,) or that of the normals, {normals.shape}, got {array.shape}")
-
-    def flat(array):
-        return jnp.broadcast_to(array, normals.shape).reshape(-1, 3)
-
+    view = normalized(view)
     eye = view if view.ndim == 1 else None
-    return Given(normals.shape[:-1], eye, flat(normals), flat(view), None if positions is None else flat(positions))
+    return Given(shape[:-1], eye, normalized(normals).reshape(-1, 3), flat("view", view), positions)

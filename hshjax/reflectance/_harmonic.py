@@ -77,10 +77,9 @@ def harmonic_radiance(
     series = jnp.asarray(series_turned_by(light.order, tuple(OBLIQUE)), normal.dtype)
     coefficients = matmul(series, coefficients)
 
-    # Points without a surface, of zero normal, are black: what is computed for them counts nowhere.
+    # Points without a surface, of zero normal and view, are black: what is computed for them counts nowhere.
     surface = jnp.any(normal != 0, axis=-1, keepdims=True)
     normal = jnp.where(surface, normal, jnp.asarray([[0, 0, 1]], normal.dtype))
-    view = jnp.where(surface, view, 0)
 
     known = light_matrices(light.order, coefficients), materials(problem, matrix)
 
@@ -92,7 +91,7 @@ def harmonic_radiance(
         else:
             turn = meridian_frame(matmul(normal, oblique.T))
         wo = jnp.einsum("nij,nj->ni", turn, matmul(view, oblique.T), precision=EXACT)
-        above = wo[:, 2:] > 0
+        above = ~(wo[:, 2:] <= 0)  # NaN is not below: it stays NaN
         wo = jnp.where(above, wo, jnp.zeros_like(wo).at[:, 2].set(1))
         value = _sum(problem, known[0], known[1], turn, problem.basis(wo))
         if problem.exponent:

@@ -61,13 +61,19 @@ def layout(order: int) -> Layout:
 def light_matrices(order: int, coefficients: Float[Array, "modes channels"]) -> tuple[Array, Array]:
     """Step 1, (channels, entries, powers of exp(iφ), real and imaginary): of even powers, and of odd ones."""
     sphere, entries = SphericalHarmonics(order), layout(order)
-    m, _ = azimuthal(sphere)
     parts = jnp.stack([coefficients, partners(sphere, coefficients)])  # with cos mφ, with sin mφ
     matrices = []
     for parity, rows in enumerate((entries.first, entries.second)):
-        turn = np.where(rows[:, None] >= 0, quarter_turn(order)[rows], 0)
-        by_power = turn[:, None, :] * (np.abs(m) == np.arange(parity, order + 1, 2)[:, None])
-        table = jnp.einsum("ifj,sjc->cisf", jnp.asarray(by_power, coefficients.dtype), parts, precision=EXACT)
+        # A quarter turn keeps degrees apart: of each power it takes two harmonics, m and -m, to an entry.
+        power, n = np.arange(parity, order + 1, 2)[None, :], np.sqrt(np.maximum(rows, 0)).astype(int)[:, None]
+        there = (rows[:, None] >= 0) & (power <= n)
+        table = 0
+        for sign in (1, -1) if order else (1,):
+            column = np.where(there, n * n + n + sign * power, 0)
+            counts = there & ((power > 0) | (sign > 0))
+            turn = np.where(counts, quarter_turn(order)[np.maximum(rows, 0)[:, None], column], 0)
+            table += jnp.asarray(turn, coefficients.dtype)[None, :, :, None] * parts[:, column]
+        table = jnp.transpose(table, (3, 1, 0, 2))
         matrices.append(table.reshape(*table.shape[:2], -1))
     return matrices[0], matrices[1]
 

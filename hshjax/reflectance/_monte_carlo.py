@@ -45,7 +45,8 @@ def monte_carlo(
     `lobes`, for whatever highlights the BRDF has; by the pixels of each map. Its density is the sum of theirs (balance
     heuristic), so that none of them needs to fit: one that does not costs samples, not exactness.
 
-    - `samples`: directions for each point, at least 2. - `key`: of `jax.random`.
+    - `samples`: directions for each point, at least 2; rounded up so that each proposal draws as many, and at least 2.
+    - `lobes`: in (0, 1]. - `key`: of `jax.random`.
 
     Differentiable in BRDF, light and view: derivatives are those of the sum, at directions that stay. An emitter from
     one direction (`DirectionalLight`, `PointLight`) has no density: `reflect` is exact there.
@@ -53,8 +54,11 @@ def monte_carlo(
     Source: Veach, Robust Monte Carlo Methods for Light Transport Simulation (1997), chapter 9; Walter et al.,
     Microfacet Models for Refraction through Rough Surfaces (2007), eq. 35.
 
-    **Raises:** ValueError for other lights, fewer than 2 samples, or shapes that do not fit.
+    **Raises:** ValueError for other lights or lobes, fewer than 2 samples, or shapes that do not fit.
     """
+    for roughness in lobes:
+        if not 0 < roughness <= 1:
+            raise ValueError(f"lobes are of a roughness above 0 and up to 1, got {roughness}")
     lights = lights_of(lighting)
     for light in lights:
         if not isinstance(light, HarmonicLight | EnvironmentMap):

@@ -34,12 +34,14 @@ def reflect(
     """Radiance `(*batch, channels)` [W m^-2 sr^-1] that leaves points towards the eye.
 
     - `brdf`: a BRDF, or any function of pairs of directions [sr^-1].
-    - `normals` `(*batch, 3)`: unit, in the world. A zero vector marks a pixel without a surface: it is black.
-    - `view`: a camera; or unit vectors in the world, from the points TOWARDS the eye, `(3,)` for an eye far away or one
-      for each point.
+    - `normals` `(*batch, 3)`: in the world, of any length. A zero vector marks a pixel without a surface: it is black,
+      whatever is said of its position and view.
+    - `view`: a camera; or vectors in the world, of any length, from the points TOWARDS the eye, `(3,)` for an eye far
+      away or one for each point.
     - `positions` `(*batch, 3)`: in the world; lights and eyes nearby need them.
     - `chunk`: points that are looked at together; None: as many as suit the cache. Memory grows with it, in derivatives
-      too: what a chunk computed is computed again instead of being kept.
+      too: what a chunk computed is computed again instead of being kept. The closed form for an eye far away does not
+      need it, and has blocks of its own.
 
     A `HarmonicLight` without a `degree` is integrated in closed form where the BRDF is a `LinearBRDF` or `Lambert`, or
     a sum or multiple of such; of mixed sums, each part goes its way. All else is a sum over the emitters of the light.

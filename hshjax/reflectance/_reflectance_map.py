@@ -87,7 +87,7 @@ def map_radiance(
     problem = Problem.of(brdf, light.order)
     turn = frame(view)
     local = matmul(normal, turn.T)
-    above = local[:, 2:] > 0
+    above = ~(local[:, 2:] <= 0)  # NaN is not below: it stays NaN
     local = jnp.where(above, local, jnp.asarray([[0, 0, 1]], local.dtype))
     matrix = to_matrix(brdf.basis, brdf.coefficients).astype(normal.dtype)
     coefficients = rotated(light.order, light.coefficients.astype(normal.dtype), turn)

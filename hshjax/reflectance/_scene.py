@@ -1,5 +1,7 @@
 """Images of a scene: what `reflect` says of every pixel, under one light after another."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,11 +13,21 @@ from hshjax.reflectance._reflect import reflect
 from hshjax.surface import Surface
 
 
+def _lights(lights: Any) -> tuple[AbstractLighting, ...]:
+    lights = (lights,) if isinstance(lights, AbstractLighting) else tuple(lights)
+    if not lights:
+        raise ValueError("a scene needs at least one light")
+    for light in lights:
+        if not isinstance(light, AbstractLighting):
+            raise ValueError(f"lights of a scene must be lights, got {light!r}")
+    return lights
+
+
 class Scene(eqx.Module):
     """A surface of one material, seen by a camera, under lights that are switched on one after another.
 
     - `brdf`: a BRDF, or any function of pairs of directions [sr^-1].
-    - `lights`: one for each image; a light that is the sum of several is one.
+    - `lights`: one for each image, or one for a single image; a light that is the sum of several is one.
     - `surface`: what the camera sees of the shape.
     - `camera`: or, for an eye far away, the unit vector towards it `(3,)`.
 
@@ -23,16 +35,9 @@ class Scene(eqx.Module):
     """
 
     brdf: PairFunction
-    lights: tuple[AbstractLighting, ...] = eqx.field(converter=tuple)
+    lights: tuple[AbstractLighting, ...] = eqx.field(converter=_lights)
     surface: Surface
     camera: AbstractCamera | Float[Array, " 3"]
-
-    def __check_init__(self):
-        if not self.lights:
-            raise ValueError("a scene needs at least one light")
-        for light in self.lights:
-            if not isinstance(light, AbstractLighting):
-                raise ValueError(f"lights of a scene must be lights, got {light!r}")
 
 
 def render(scene: Scene, *, chunk: int | None = None) -> Float[Array, "lights *pixels channels"]:
@@ -49,10 +54,20 @@ def render(scene: Scene, *, chunk: int | None = None) -> Float[Array, "lights *p
         return reflect(scene.brdf, light, surface.normal, scene.camera, positions=surface.position, chunk=chunk)
 
     structure, *others = (jax.tree.structure(light) for light in scene.lights)
-    leaves = zip(*(jax.tree.leaves(light) for light in scene.lights), strict=False)
-    if all(other == structure for other in others) and all(len({jnp.shape(x) for x in same}) == 1 for same in leaves):
-        # Lights of one kind are one program, run over and over.
-        return jax.lax.map(image, jax.tree.map(lambda *leaf: jnp.stack(leaf), *scene.lights))
+    if all(other == structure for other in others):
+        leaves = list(zip(*map(jax.tree.leaves, scene.lights), strict=True))
+        if all(len({jnp.shape(x) for x in same}) == 1 for same in leaves):
+            # Lights of one kind are one program, run over and over. What they share, such as a horizon, is held once.
+            own = [any(x is not same[0] for x in same) for same in leaves]
+
+            def of_own(values):
+                values = iter(values)
+                return image(
+                    structure.unflatten([next(values) if o else x[0] for o, x in zip(own, leaves, strict=True)])
+                )
+
+            stacked = [jnp.stack(same) for same, o in zip(leaves, own, strict=True) if o]
+            return jax.lax.map(of_own, stacked) if stacked else jnp.stack([image(scene.lights[0])] * len(scene.lights))
     images = [image(light) for light in scene.lights]
     channels = max(one.shape[-1] for one in images)
     return jnp.stack([jnp.broadcast_to(one, (*one.shape[:-1], channels)) for one in images])

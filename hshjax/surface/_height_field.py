@@ -26,11 +26,14 @@ def height_field(
     Normals are of second order: by central differences, one-sided along the border. Differentiable in heights and
     spacing.
 
-    **Raises:** ValueError for fewer than 3 rows or columns, and for other shapes.
+    **Raises:** ValueError for fewer than 3 rows or columns, heights that are not finite, and other shapes.
     """
     heights = floating(heights)
     if heights.ndim != 2 or min(heights.shape) < 3:
         raise ValueError(f"heights must have shape (rows, columns), at least 3 of each, got {heights.shape}")
+    if not isinstance(heights, Tracer) and not np.all(np.isfinite(heights)):
+        count = int(np.sum(~np.isfinite(heights)))
+        raise ValueError(f"heights must be finite, {count} are not: fill in what the mask leaves out")
     spacing = floating(spacing).astype(heights.dtype)
     if spacing.shape != ():
         raise ValueError(f"spacing must be a scalar, got shape {spacing.shape}")

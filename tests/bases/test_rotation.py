@@ -39,6 +39,16 @@ def test_the_rotated_series_is_the_rotated_function(order, name):
     assert_close(basis.evaluate(found, jnp.asarray(w, DTYPE)), expected, tolerance=None if X64 else 1e-4)
 
 
+@pytest.mark.parametrize(
+    ("turn", "message"),
+    [(np.diag([1.0, 1, -1]), "determinant 1"), (2 * np.eye(3), "orthonormal"), (np.ones((2, 3, 3)), r"\(2, 3, 3\)")],
+    ids=["a reflection", "a scale", "two"],
+)
+def test_refusals(turn, message, unchecked):
+    with pytest.raises(ValueError, match=message):
+        rotated(1, series(1), jnp.asarray(turn, DTYPE))
+
+
 def test_a_turn_and_its_series():
     """Against scipy's rotations."""
     omega = (0.3, -0.8, 1.9)

@@ -128,6 +128,24 @@ def test_pixels_are_looked_up(brdf):
     np.testing.assert_array_equal(looked_up(brdf, images, sigma, truth, LIGHTS, steepest=1.0), truth)
 
 
+def test_reach_is_a_standard_deviation(brdf):
+    """Least |r|² / σ² + |s - s₀|² / reach², by brute force, of one dim image that says little of slopes."""
+    start = np.random.default_rng(0).uniform(-0.4, 0.4, (6, 2))
+    images, sigma = shown(brdf, start + 0.3, LIGHTS[:1])
+    sigma, reach = 3 * sigma, 0.1
+    found = looked_up(brdf, images, sigma, start, LIGHTS[:1], steepest=1.0, reach=reach)
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 81)] * 2), axis=-1).reshape(-1, 2)
+    entries = np.asarray(radiance(brdf, jnp.asarray(grid), jnp.asarray(LIGHTS[0])))
+    own, moved = np.asarray(radiance(brdf, jnp.asarray(start), jnp.asarray(LIGHTS[0]))), []
+    for pixel, image in enumerate(images[0]):
+        cost = np.sum((entries - image) ** 2, axis=1) / sigma[0, pixel] ** 2
+        cost += np.sum((grid - start[pixel]) ** 2, axis=1) / reach**2
+        stays = np.sum((own[pixel] - image) ** 2) / sigma[0, pixel, 0] ** 2 <= cost.min()
+        moved.append(not stays)
+        np.testing.assert_allclose(found[pixel], start[pixel] if stays else grid[np.argmin(cost)], atol=1e-12)
+    assert any(moved)
+
+
 @pytest.mark.parametrize("mirror", [1, -1])
 @pytest.mark.parametrize("degrees", [0, 40, 130, 270])
 def test_a_surface_is_set_upright(degrees, mirror):

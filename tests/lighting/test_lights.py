@@ -66,6 +66,13 @@ def test_a_map_is_what_it_is_at_the_centres_of_its_pixels(up):
     assert_close(light(jnp.asarray(light.direction, DTYPE)), radiance, tolerance=1e-10 if X64 else 1e-4)
 
 
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_map_has_derivatives_straight_up_and_down(up):
+    light = EnvironmentMap(jnp.asarray(np.random.default_rng(0).normal(size=(4, 8, 1)), DTYPE), up=up)
+    for w in ([0, 0, 1.0], [0, 0, -1], [0, 1, 0], [0, -1, 0]):
+        assert np.all(np.isfinite(jax.grad(lambda w: light(w)[0])(jnp.asarray(w, DTYPE))))
+
+
 def test_a_map_is_linear_between_centres_and_closed_around():
     radiance = jnp.asarray(np.random.default_rng(0).uniform(size=(4, 6, 1)), DTYPE)
     light = EnvironmentMap(radiance, up="z")

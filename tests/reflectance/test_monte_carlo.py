@@ -147,10 +147,11 @@ def test_derivatives_are_those_of_the_mean():
     ("change", "message"),
     [
         ({"lighting": DirectionalLight(jnp.ones(3), 1.0)}, "no directions can be drawn for a DirectionalLight"),
+        ({"lobes": (0.2, 0.0)}, "roughness above 0 and up to 1, got 0.0"),
         ({"samples": 1}, "takes 2 samples or more, got 1"),
         ({"view": jnp.ones((5, 3))}, "view must have shape"),
     ],
-    ids=["light", "samples", "view"],
+    ids=["light", "lobes", "samples", "view"],
 )
 def test_refusals(change, message, unchecked):
     arguments = {"lighting": harmonic(), "normals": directions(0, 4), "view": jnp.ones(3, DTYPE), "samples": 8}

@@ -9,6 +9,7 @@ from jax.test_util import check_grads
 
 from hshjax.bases import HSH, IsotropicBasis, SphericalHarmonics
 from hshjax.brdfs import GGX, Lambert, LinearBRDF
+from hshjax.camera import PerspectiveCamera
 from hshjax.lighting import DirectionalLight, EnvironmentMap, HarmonicLight, MaskedLight, PointLight
 from hshjax.reflectance import reflect
 from tests.brdfs.cases import ALL_BRDFS
@@ -238,6 +239,60 @@ def test_no_derivative_is_nan_anywhere(name):
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
 
 
+def flash():
+    """A lamp in a perspective eye, and a point without a surface: a mesh that is missed has its position there."""
+    eye = jnp.asarray([0.0, 0, 4], DTYPE)
+    camera = PerspectiveCamera(
+        eye, jnp.zeros(3, DTYPE), jnp.asarray([0.0, 1, 0], DTYPE), field_of_view=0.5, resolution=(1, 1)
+    )
+    return PointLight(eye, 9.0), camera, eye
+
+
+@pytest.mark.parametrize("position", ["the lamp", "nowhere"])
+def test_points_without_a_surface_are_black(position):
+    """Whatever is said of them, with derivatives of 0: a lamp in the eye, and positions that are not a number."""
+    lamp, camera, eye = flash()
+    normals = jnp.asarray([[0, 0, 0], [0, 0, 1.0]], DTYPE)
+    missed = eye if position == "the lamp" else jnp.full(3, jnp.nan, DTYPE)
+
+    def total(lamp, normals, x):
+        return jnp.sum(reflect(GGX(0.9, 0.3), lamp, normals, camera, positions=x))
+
+    with jax.debug_nans(False):
+        x = jnp.stack([missed, jnp.zeros(3, DTYPE)])
+        image = reflect(GGX(0.9, 0.3), lamp, normals, camera, positions=x)
+        assert image[0, 0] == 0 < image[1, 0]
+        gradient = jax.grad(total, (0, 1, 2))(lamp, normals, x)
+        assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
+
+
+def test_a_point_in_a_lamp_is_not_lit_by_it():
+    lamp, _, eye = flash()
+    assert reflect(Lambert(0.5), lamp, UP, UP, positions=eye) == 0
+
+
+@pytest.mark.parametrize("light", ["directional", "harmonic", "in closed form"])
+def test_what_is_not_a_number_stays_so(light):
+    """A fit that has diverged must not look dark."""
+    light = HarmonicLight(random(4, 9, 2)) if light == "in closed form" else lights()[light]
+    normals = jnp.asarray([[jnp.nan, 0, 1], [0, 0, 1]], DTYPE)
+    for view in (UP, jnp.stack([UP, UP])):
+        with jax.debug_nans(False):
+            image = reflect(Lambert(0.5), light, normals, view)
+        assert np.all(np.isnan(image[0]))
+        assert np.all(np.isfinite(image[1]))
+
+
+@pytest.mark.parametrize("name", ["directional", "harmonic", "in closed form"])
+def test_lengths_of_normals_and_views_do_not_count(name):
+    light = HarmonicLight(random(4, 9, 2)) if name == "in closed form" else lights()[name]
+    basis = IsotropicBasis(HSH(2))
+    brdf, n, view = LinearBRDF(basis, random(3, basis.count, 2)), directions(0, 5), directions(1, 5)
+    for v in (view, view[0]):
+        expected = reflect(brdf, light, n, v)
+        assert_close(reflect(brdf, light, 3 * n, 0.25 * v), expected, tolerance=1e-12 if X64 else 1e-5)
+
+
 # --- refusals ---------------------------------------------------------------------------------------------------------
 
 
@@ -249,8 +304,10 @@ def test_no_derivative_is_nan_anywhere(name):
         ({"positions": jnp.ones((2, 4, 3))}, "positions must have shape"),
         ({"normals": jnp.ones((4, 2))}, r"\(\*batch, 3\)"),
         ({"chunk": 0}, "chunk must be >= 1, got 0"),
+        ({"lighting": jax.vmap(DirectionalLight)(jnp.ones((5, 3)), jnp.ones(5))}, r"got \(5, 3\); many lights in one"),
+        ({"lighting": jax.vmap(HarmonicLight)(jnp.ones((5, 4, 1)))}, r"must have shape .* got \(5, 4, 1\)"),
     ],
-    ids=["positions", "view", "other positions", "normals", "chunk"],
+    ids=["positions", "view", "other positions", "normals", "chunk", "many lamps", "many series"],
 )
 def test_refusals(arguments, message, unchecked):
     given = {

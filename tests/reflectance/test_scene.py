@@ -2,14 +2,15 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from hshjax.brdfs import GGX
 from hshjax.camera import OrthographicCamera, PerspectiveCamera
-from hshjax.lighting import DirectionalLight, HarmonicLight, PointLight
+from hshjax.lighting import DirectionalLight, HarmonicLight, Horizon, PointLight, ShadowedLight
 from hshjax.reflectance import Scene, reflect, render
-from hshjax.surface import sphere
-from tests.helpers import DTYPE, assert_close
+from hshjax.surface import height_field, sphere
+from tests.helpers import DTYPE, assert_close, directions
 
 UP, AXIS = jnp.asarray([0, 1.0, 0], DTYPE), jnp.asarray([0, 0, 1.0], DTYPE)
 FAR = OrthographicCamera(AXIS, UP, resolution=(5, 4))
@@ -44,6 +45,27 @@ def test_a_scene_is_differentiable():
     gradient = jax.jit(jax.grad(total))(jnp.asarray(0.6, DTYPE))
     assert jnp.isfinite(gradient)
     assert gradient != 0
+
+
+def test_one_light_is_one_image():
+    assert_close(render(Scene(BRDF, LAMPS[0], sphere(FAR), FAR)), render(Scene(BRDF, LAMPS[:1], sphere(FAR), FAR)))
+
+
+def test_what_lights_share_is_held_once():
+    """Memory of the program does not grow with lights behind one horizon; images are those of each by itself."""
+    field = height_field(jnp.asarray(np.random.default_rng(0).normal(size=(24, 24)), DTYPE))
+    horizon = Horizon.from_heights(field.position[..., 2], azimuths=64)
+    lamps = [DirectionalLight(direction, 1.0) for direction in directions(3, 8)]
+
+    def images(lamps, horizon):
+        return render(Scene(BRDF, [ShadowedLight(lamp, horizon) for lamp in lamps], field, AXIS))
+
+    def memory(lamps):
+        return jax.jit(images).lower(lamps, horizon).compile().memory_analysis().temp_size_in_bytes
+
+    assert memory(lamps) - memory(lamps[:1]) < horizon.slope.nbytes
+    assert_close(images(lamps, horizon)[:2], jnp.concatenate([images(lamps[:1], horizon), images(lamps[1:2], horizon)]))
+    assert_close(render(Scene(BRDF, [lamps[0]] * 2, field, AXIS))[1], render(Scene(BRDF, lamps[0], field, AXIS))[0])
 
 
 @pytest.mark.parametrize("lights", [(), (AXIS,)], ids=["none", "a vector"])
