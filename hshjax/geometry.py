@@ -56,6 +56,21 @@ def half_vector(wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]) -> F
     return normalized(wi + wo)
 
 
+def from_half_difference(theta_h: Real, theta_d: Real, phi_d: Real) -> tuple[Real, Real]:
+    """(wi, wo), `(*batch, 3)` each, of half angle θ_h and difference direction (θ_d, φ_d) [radians], with φ_h = 0.
+
+    They may lie below the horizon. Source: Rusinkiewicz, A New Change of Variables for Efficient BRDF Representation,
+    EGWR 1998.
+    """
+    theta_h, theta_d, phi_d = jnp.broadcast_arrays(theta_h, theta_d, phi_d)
+    cos, sin = jnp.cos(theta_h), jnp.sin(theta_h)
+
+    def lifted(d):
+        return jnp.stack([cos * d[..., 0] + sin * d[..., 2], d[..., 1], cos * d[..., 2] - sin * d[..., 0]], axis=-1)
+
+    return lifted(direction(theta_d, phi_d)), lifted(direction(theta_d, phi_d + jnp.pi))
+
+
 def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array, " *batch"]:
     """Scalar product along the last axis."""
     return jnp.sum(a * b, axis=-1)

@@ -5,14 +5,14 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, Real
 from hshjax.bases._base import AbstractBasis, check_modes
-from hshjax.bases._pairs import AbstractPairBasis, HelmholtzBasis, from_matrix, to_matrix
+from hshjax.bases._pairs import AbstractProductBasis, HelmholtzBasis, from_matrix, to_matrix
 from hshjax.geometry import common_dtype
 
 
 def convert(
-    source: AbstractBasis | AbstractPairBasis,
+    source: AbstractBasis | AbstractProductBasis,
     coefficients: Float[Array, "modes *channels"],
-    target: AbstractBasis | AbstractPairBasis,
+    target: AbstractBasis | AbstractProductBasis,
 ) -> Real:
     """Coefficients `(modes of target, *channels)` of the nearest function (in L2) that `target` can say.
 
@@ -27,8 +27,8 @@ def convert(
         check_modes(source, coefficients)
         return _resized(coefficients, (target.count,))
     if (
-        isinstance(source, AbstractPairBasis)
-        and isinstance(target, AbstractPairBasis)
+        isinstance(source, AbstractProductBasis)
+        and isinstance(target, AbstractProductBasis)
         and type(source.basis) is type(target.basis)
     ):
         k = target.basis.count

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._special import powers, radial_rows
-from hshjax._typing import Array
+from hshjax._typing import Array, Float
 from hshjax.bases._base import AbstractBasis, Chart
-from hshjax.bases._pairs import AbstractPairBasis, Entries
+from hshjax.bases._pairs import AbstractProductBasis, Entries
 
 
-class IsotropicBasis(AbstractPairBasis):
+class IsotropicBasis(AbstractProductBasis):
     """The isotropic subspace of `HelmholtzBasis(basis)`.
 
         m >= 0:  N cos(m Δφ) [R_n^m(i) R_p^m(o) + R_p^m(i) R_n^m(o)],   n <= p,   Δφ = φ_i - φ_o
@@ -43,6 +43,10 @@ class IsotropicBasis(AbstractPairBasis):
 
     @property
     def reciprocal(self) -> bool:
+        return True
+
+    @property
+    def isotropic(self) -> bool:
         return True
 
     def entries(self) -> Entries:
@@ -80,7 +84,7 @@ class IsotropicBasis(AbstractPairBasis):
             return zero.at[m, j, k].add(weighted[pick]).at[m, k, j].add(sign * weighted[pick])
 
         kinds = [matrices(~n.sine, 1)] if self.bilateral else [matrices(~n.sine, 1), matrices(n.sine, -1)]
-        return _sums(self, jnp.stack(kinds), wi, wo)
+        return radial_sums(jnp.stack(kinds), *_factors(self, wi, wo))
 
     def __hash__(self) -> int:
         return hash((type(self), self.basis, self.bilateral))
@@ -140,13 +144,20 @@ def _factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array,
     return radial_rows(tables, chart_i.x), radial_rows(tables, chart_o.x), powers(square, odd, tables.counts.size)
 
 
-def _sums(pairs: IsotropicBasis, matrices: Array, wi: Array, wo: Array) -> Array:
-    """Σ_m Re|Im(s^m) R(i)ᵀ A_m R(o), `matrices` (cosine | sine, orders, degrees, degrees, channels)."""
-    ri, ro, azimuth = _factors(pairs, wi, wo)
-    total = jnp.zeros((matrices.shape[-1], wi.shape[0]), wi.dtype)
+def radial_sums(
+    matrices: Float[Array, "kinds orders j k channels"],
+    left: Float[Array, "orders j pairs"],
+    right: Float[Array, "orders k pairs"],
+    azimuth: Float[Array, "2 orders pairs"],
+) -> Float[Array, "pairs channels"]:
+    """Σ_m Re|Im(s^m) leftᵀ A_m right; of `kinds`, the first goes with the real part of s^m, the second with the other.
+
+    One small product for each order.
+    """
+    total = jnp.zeros((matrices.shape[-1], left.shape[-1]), left.dtype)
     for kind in range(matrices.shape[0]):
-        product = jnp.einsum("mjkc,mkp->mjcp", matrices[kind], ro, precision="highest")
-        total += jnp.einsum("mjcp,mjp->cp", product, ri * azimuth[kind][:, None], precision="highest")
+        product = jnp.einsum("mjkc,mkp->mjcp", matrices[kind], right, precision="highest")
+        total += jnp.einsum("mjcp,mjp->cp", product, left * azimuth[kind][:, None], precision="highest")
     return total.T
 
 

@@ -29,20 +29,11 @@ class Entries(NamedTuple):
 
 
 class AbstractPairBasis(eqx.Module):
-    """Functions of (wi, wo) [sr^-1], orthonormal for dω_i dω_o on the product of two hemispheres.
+    """Functions of a pair of directions (wi, wo).
 
-    That is where `basis.hemispherical`; over `SphericalHarmonics` they are orthonormal on two spheres.
-
-    Directions are unit vectors in the local frame, both away from the surface; `wi` and `wo` broadcast. Columns are
-    ordered by the larger of the two orders first, so that a lower order is a prefix of a higher one (but for
-    `TensorBasis`, whose coefficients are a matrix read row by row).
+    Directions are unit vectors in the local frame, both away from the surface; `wi` and `wo` broadcast. Arrays among
+    the fields of a basis are differentiable.
     """
-
-    basis: eqx.AbstractVar[AbstractBasis]
-
-    def __check_init__(self):
-        if not isinstance(self.basis, AbstractBasis):
-            raise ValueError(f"{type(self).__name__} needs a basis of single directions, got {self.basis!r}")
 
     @property
     @abc.abstractmethod
@@ -54,18 +45,19 @@ class AbstractPairBasis(eqx.Module):
     def count(self) -> int:
         """Number of functions, `len(modes)` without the list."""
 
+    @abc.abstractmethod
     def degrees(self) -> np.ndarray:
-        """Orders (n, p) of every column in its two directions, `(modes, 2)`. Host array."""
-        return np.array([[a[0], b[0]] for a, b in self.modes])
+        """Orders (n, p) of every column in its two variables, `(modes, 2)`. Host array."""
 
     @property
     @abc.abstractmethod
     def reciprocal(self) -> bool:
         """Whether every function is unchanged when wi and wo are swapped."""
 
-    @abc.abstractmethod
-    def entries(self) -> Entries:
-        """Every column as a sparse matrix over the single-direction basis; the columns are orthonormal there too."""
+    @property
+    def isotropic(self) -> bool:
+        """Whether every function is unchanged when both directions turn about the normal."""
+        return False
 
     @abc.abstractmethod
     def block_rows(self, wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]) -> Float[Array, "pairs modes"]:
@@ -80,7 +72,8 @@ class AbstractPairBasis(eqx.Module):
     def __call__(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
         """The design row `(*batch, modes)`. `evaluate` is faster wherever only Σ c_k B_k is needed."""
         wi, wo, batch = flat_pairs(wi, wo)
-        return _rows(self, wi, wo).reshape(*batch, self.count)
+        arrays, static = eqx.partition(self, eqx.is_array)
+        return _rows(static, arrays, wi, wo).reshape(*batch, self.count)
 
     def evaluate(
         self, coefficients: Float[Array, "modes ..."], wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]
@@ -93,37 +86,49 @@ class AbstractPairBasis(eqx.Module):
         coefficients, wi, wo = common_dtype(coefficients, wi, wo)
         check_modes(self, coefficients)
         channels = coefficients.shape[1:]
-        return _sums(self, coefficients.reshape(self.count, -1), wi, wo).reshape(*batch, *channels)
+        arrays, static = eqx.partition(self, eqx.is_array)
+        return _sums(static, arrays, coefficients.reshape(self.count, -1), wi, wo).reshape(*batch, *channels)
 
 
 # Compiled once for a basis and a shape, as in hshjax/bases/_base.py. The blocks are recomputed, not stored, in reverse:
-# what one keeps for its derivative is larger than what it returns.
+# what one keeps for its derivative is larger than what it returns. A basis comes in two parts, what is static of it and
+# its arrays.
 
 
 @partial(jax.jit, static_argnums=0)
-def _rows(pairs: AbstractPairBasis, wi: Array, wo: Array) -> Array:
-    return blockwise(jax.checkpoint(pairs.block_rows), PAIR_BLOCK, wi, wo)
+def _rows(static: AbstractPairBasis, arrays: AbstractPairBasis, wi: Array, wo: Array) -> Array:
+    pairs = eqx.combine(static, arrays)
+    return blockwise(jax.checkpoint(lambda i, o: pairs.block_rows(i, o)), PAIR_BLOCK, wi, wo)
 
 
-def _block_sums(pairs: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
-    return blockwise(jax.checkpoint(partial(pairs.block_sums, coefficients)), PAIR_BLOCK, wi, wo)
+def _block_sums(static: AbstractPairBasis, arrays: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array):
+    pairs = eqx.combine(static, arrays)
+    return blockwise(jax.checkpoint(lambda i, o: pairs.block_sums(coefficients, i, o)), PAIR_BLOCK, wi, wo)
 
 
 _differentiable_sums = jax.custom_jvp(_block_sums, nondiff_argnums=(0,))
 
 
 @partial(_differentiable_sums.defjvp, symbolic_zeros=True)
-def _(pairs, primals, tangents):
+def _(static, primals, tangents):
     """By coefficients, rows times dc: the columns of a Jacobian share the rows, and its transpose is one product."""
-    coefficients, wi, wo = primals
-    d_coefficients, *d_directions = tangents
-    if all(isinstance(d, SymbolicZero) for d in d_directions):
-        value = _differentiable_sums(pairs, coefficients, wi, wo)
+    arrays, coefficients, wi, wo = primals
+    d_arrays, d_coefficients, *d_directions = tangents
+    d_others = d_arrays, *d_directions
+
+    def zero(tangent):
+        return isinstance(tangent, SymbolicZero)
+
+    if all(map(zero, jax.tree.leaves(d_others, is_leaf=zero))):
+        value = _differentiable_sums(static, arrays, coefficients, wi, wo)
         tangent = jnp.zeros_like(value)
     else:
-        d_directions = [jnp.zeros_like(wi) if isinstance(d, SymbolicZero) else d for d in d_directions]
-        value, tangent = jax.jvp(partial(_block_sums, pairs, coefficients), (wi, wo), tuple(d_directions))
-    if not isinstance(d_coefficients, SymbolicZero):
+        d_others = jax.tree.map(lambda d: jnp.zeros(d.shape, d.dtype) if zero(d) else d, d_others, is_leaf=zero)
+        value, tangent = jax.jvp(
+            lambda arrays, wi, wo: _block_sums(static, arrays, coefficients, wi, wo), (arrays, wi, wo), d_others
+        )
+    if not zero(d_coefficients):
+        pairs = eqx.combine(static, arrays)
         product = jax.checkpoint(lambda d, i, o: matmul(pairs.block_rows(i, o), d))
         tangent += blockwise(partial(product, d_coefficients), PAIR_BLOCK, wi, wo)
     return value, tangent
@@ -132,7 +137,29 @@ def _(pairs, primals, tangents):
 _sums = jax.jit(_differentiable_sums, static_argnums=0)
 
 
-class TensorBasis(AbstractPairBasis):
+class AbstractProductBasis(AbstractPairBasis):
+    """Sums of products h_a(wi) h_b(wo) [sr^-1], orthonormal for dω_i dω_o on the product of two hemispheres.
+
+    That is where `basis.hemispherical`; over `SphericalHarmonics` they are orthonormal on two spheres. Columns are
+    ordered by the larger of the two orders first, so that a lower order is a prefix of a higher one (but for
+    `TensorBasis`, whose coefficients are a matrix read row by row).
+    """
+
+    basis: eqx.AbstractVar[AbstractBasis]
+
+    def __check_init__(self):
+        if not isinstance(self.basis, AbstractBasis):
+            raise ValueError(f"{type(self).__name__} needs a basis of single directions, got {self.basis!r}")
+
+    def degrees(self) -> np.ndarray:
+        return np.array([[a[0], b[0]] for a, b in self.modes])
+
+    @abc.abstractmethod
+    def entries(self) -> Entries:
+        """Every column as a sparse matrix over the single-direction basis; the columns are orthonormal there too."""
+
+
+class TensorBasis(AbstractProductBasis):
     """All products h_a(wi) h_b(wo): K² functions, reciprocity free.
 
     `modes` holds ((n, m), (p, q)), incident first; column a K + b, so that coefficients reshape to the matrix A.
@@ -172,7 +199,7 @@ class TensorBasis(AbstractPairBasis):
         return isinstance(other, TensorBasis) and self.basis == other.basis
 
 
-class HelmholtzBasis(AbstractPairBasis):
+class HelmholtzBasis(AbstractProductBasis):
     """The paper's Eq. 2 over unordered pairs a <= b: K (K + 1) / 2 reciprocal functions.
 
         B_ab(wi, wo) = N_ab [h_a(wi) h_b(wo) + h_b(wi) h_a(wo)],   N_ab = 1 / sqrt(2 (1 + δ_ab))
@@ -220,7 +247,7 @@ class HelmholtzBasis(AbstractPairBasis):
         return isinstance(other, HelmholtzBasis) and self.basis == other.basis
 
 
-def to_matrix(pairs: AbstractPairBasis, coefficients: Float[Array, "modes *channels"]) -> Real:
+def to_matrix(pairs: AbstractProductBasis, coefficients: Float[Array, "modes *channels"]) -> Real:
     """The matrix A, `(K, K, *channels)`, with ρ(wi, wo) = h(wi)ᵀ A h(wo); symmetric for a reciprocal basis."""
     coefficients = jnp.asarray(coefficients)
     check_modes(pairs, coefficients)
@@ -229,7 +256,7 @@ def to_matrix(pairs: AbstractPairBasis, coefficients: Float[Array, "modes *chann
     return matrix.at[a, b].add(_weights(value, coefficients) * coefficients[mode])
 
 
-def from_matrix(pairs: AbstractPairBasis, matrix: Float[Array, "k k *channels"]) -> Real:
+def from_matrix(pairs: AbstractProductBasis, matrix: Float[Array, "k k *channels"]) -> Real:
     """Coefficients `(modes, *channels)` of the function of `pairs` nearest in L2 to h(wi)ᵀ A h(wo).
 
     Exact where A lies in the span; otherwise the orthogonal projection: for `HelmholtzBasis` that is the

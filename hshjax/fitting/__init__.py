@@ -2,6 +2,12 @@
 
 from hshjax.fitting._batch import project_all as project_all
 from hshjax.fitting._certificate import Certificate as Certificate
+from hshjax.fitting._compact import (
+    CompactFit as CompactFit,
+    fit_compact as fit_compact,
+    fit_compact_all as fit_compact_all,
+    half_vector_samples as half_vector_samples,
+)
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
-from hshjax.bases import AbstractPairBasis
+from hshjax.bases import AbstractProductBasis
 from hshjax.brdfs._linear import EXPONENTS, Target, cosine_power
 from hshjax.fitting._constraints import Energy, Family, NonNegative, last_polar, polar_angle, vanishes
 from hshjax.fitting._search import channel_blocks, follow, in_chunks
@@ -85,7 +85,7 @@ class Certifier:
     Both figures are reported whatever was asked for, and looked for just as close to the horizon.
     """
 
-    def __init__(self, basis: AbstractPairBasis, target: Target, constraints: tuple[str, ...], dtype: np.dtype):
+    def __init__(self, basis: AbstractProductBasis, target: Target, constraints: tuple[str, ...], dtype: np.dtype):
         exponent = EXPONENTS[target]
         edge = last_polar(dtype) if exponent else np.pi
         depth = int(vanishes(exponent, constraints))

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
-from hshjax.bases import AbstractPairBasis, IsotropicBasis, from_matrix
+from hshjax.bases import AbstractProductBasis, IsotropicBasis, from_matrix
 from hshjax.bases._base import matmul
 from hshjax.fitting._blocks import series
 from hshjax.quadrature import hemisphere_rule
@@ -54,7 +54,7 @@ class NonNegative:
     x is (α_i, α_o, Δφ) for isotropic bases, (α_i, α_o, φ_i, φ_o) for others.
     """
 
-    basis: AbstractPairBasis
+    basis: AbstractProductBasis
     depth: tuple[int, int]
     edge: float
 
@@ -112,7 +112,7 @@ class Energy:
     x is (α_o,) for isotropic bases, (α_o, φ_o) for others.
     """
 
-    basis: AbstractPairBasis
+    basis: AbstractProductBasis
     exponent: float
     depth: float
     edge: float
@@ -167,7 +167,7 @@ Family = NonNegative | Energy
 
 
 def families(
-    basis: AbstractPairBasis, exponent: float, constraints: tuple[str, ...], dtype: np.dtype
+    basis: AbstractProductBasis, exponent: float, constraints: tuple[str, ...], dtype: np.dtype
 ) -> tuple[Family, ...]:
     """The families of inequalities for a series that stands for (z_i z_o)^exponent ρ."""
     vanishing = vanishes(exponent, constraints)
@@ -195,7 +195,7 @@ def vanishes(exponent: float, constraints: tuple[str, ...]) -> bool:
     return exponent > 0 and set(constraints) == set(CONSTRAINTS)
 
 
-def horizon_equations(basis: AbstractPairBasis) -> np.ndarray:
+def horizon_equations(basis: AbstractProductBasis) -> np.ndarray:
     """L with L c = 0 where the series vanishes like z_o at the horizon, `(equations, modes)`. Host array.
 
     Of a series h(wi)ᵀ A h(wo) it asks for A u = 0 with u the values of the basis on the horizon, one u for each signed
@@ -222,7 +222,7 @@ def horizon_equations(basis: AbstractPairBasis) -> np.ndarray:
 
 
 @lru_cache
-def interior(basis: AbstractPairBasis, exponent: float, constraints: tuple[str, ...]) -> np.ndarray:
+def interior(basis: AbstractProductBasis, exponent: float, constraints: tuple[str, ...]) -> np.ndarray:
     """Coefficients `(modes,)` of a function that lies inside all inequalities: rows of `NonNegative` add up to 1.
 
     Under "energy" alone that is 0. Host array.
@@ -240,7 +240,7 @@ def interior(basis: AbstractPairBasis, exponent: float, constraints: tuple[str, 
 
 
 @lru_cache
-def incident_moments(basis: AbstractPairBasis, exponent: float) -> np.ndarray:
+def incident_moments(basis: AbstractProductBasis, exponent: float) -> np.ndarray:
     """`(modes, K)`: ∫ B_k(wi, wo) z_i^exponent dω_i = Σ_b moments[k, b] h_b(wo). Host array."""
     single = basis.basis
     with jax.enable_x64(True), jax.ensure_compile_time_eval():
@@ -255,7 +255,7 @@ def incident_moments(basis: AbstractPairBasis, exponent: float) -> np.ndarray:
 
 
 @lru_cache
-def largest(basis: AbstractPairBasis) -> float:
+def largest(basis: AbstractProductBasis) -> float:
     """The largest |h(w)| of the basis of single directions; so large as its square are the rows of the pair basis."""
     polar = np.linspace(0, np.pi / 2, 16 * basis.basis.order + 16)
     meridian = np.stack([np.sin(polar), 0 * polar, np.cos(polar)], axis=1)
@@ -300,14 +300,14 @@ def _from_polar(alpha: Array, phi: Array) -> Array:
     return jnp.stack([rim * jnp.cos(phi), rim * jnp.sin(phi), z], axis=-1)
 
 
-def _isotropic(basis: AbstractPairBasis) -> bool:
-    return isinstance(basis, IsotropicBasis)
+def _isotropic(basis: AbstractProductBasis) -> bool:
+    return basis.isotropic
 
 
-def _bilateral(basis: AbstractPairBasis) -> bool:
+def _bilateral(basis: AbstractProductBasis) -> bool:
     return isinstance(basis, IsotropicBasis) and basis.bilateral
 
 
-def _degrees(basis: AbstractPairBasis) -> tuple[int, int]:
+def _degrees(basis: AbstractProductBasis) -> tuple[int, int]:
     """In α and in φ. Zernike functions are of half their order in α, but a grid that takes it so misses minima."""
     return max(1, basis.basis.order), max(1, basis.basis.order)

@@ -18,7 +18,7 @@ from jax.core import Tracer
 from jax.scipy.linalg import solve_triangular
 
 from hshjax._typing import Array, Float
-from hshjax.bases import AbstractPairBasis, IsotropicBasis
+from hshjax.bases import AbstractPairBasis, AbstractProductBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS, fold
@@ -90,11 +90,13 @@ def project(
     """
     chosen = named_norm(norm)
     check_constraints(constraints, rounds)
+    if constraints and not isinstance(basis, AbstractProductBasis):
+        raise ValueError(f"constraints are for products of functions of one direction, got {basis}")
     gamma = penalty(basis, ridge, prior)
     unknowns = basis.count
     visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
     samples = _in_one_dtype(samples)
-    if samples.isotropic and not isinstance(basis, IsotropicBasis):
+    if samples.isotropic and not basis.isotropic:
         raise ValueError(
             f"isotropic samples say nothing of how {basis} depends on φ_i + φ_o: fit an IsotropicBasis; "
             "`hshjax.bases.convert` embeds it"
@@ -126,7 +128,7 @@ def project(
             posterior, noise = _posterior(factor, root, coefficients, weight)
 
     certificate, result = None, Outcome.converged
-    if constraints:
+    if constraints and isinstance(basis, AbstractProductBasis):
         assert root is not None  # of both branches above
         coefficients, certificate = constrained(basis, chosen.target, tuple(constraints), rounds, coefficients, root)
         result = Outcome.converged if certificate.holds else Outcome.uncertified
@@ -162,7 +164,9 @@ def _in_one_dtype(samples: Samples) -> Samples:
 
 def _exact(basis: AbstractPairBasis, samples: Samples, total: float) -> bool:
     """Whether the samples' own weights, `total` in all, make the Gram matrix of the basis the identity."""
-    if samples.degree is None or samples.degree < 2 * basis.basis.order or not basis.basis.hemispherical:
+    if not isinstance(basis, AbstractProductBasis) or not basis.basis.hemispherical:
+        return False
+    if samples.degree is None or samples.degree < 2 * basis.basis.order:
         return False
     # Samples may have been taken out or masked in spite of their degree. Rounding of a sum is far below sqrt(eps).
     return abs(total / WHOLE - 1) < 10 * float(jnp.finfo(samples.weight.dtype).eps) ** 0.5

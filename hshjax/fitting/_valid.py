@@ -8,7 +8,7 @@ import numpy as np
 from jax.core import Tracer
 
 from hshjax._typing import Array, Float
-from hshjax.bases import AbstractPairBasis
+from hshjax.bases import AbstractProductBasis
 from hshjax.brdfs._linear import EXPONENTS, Target
 from hshjax.fitting._certificate import Certificate, Certifier
 from hshjax.fitting._constraints import CONSTRAINTS, families, horizon_equations, interior, vanishes
@@ -23,7 +23,7 @@ SAFETY = 1.5
 
 
 def constrained(
-    basis: AbstractPairBasis,
+    basis: AbstractProductBasis,
     target: Target,
     constraints: tuple[str, ...],
     rounds: int,
@@ -62,7 +62,7 @@ def constrained(
 
 def _until_certified(
     exchange: Exchange,
-    basis: AbstractPairBasis,
+    basis: AbstractProductBasis,
     target: Target,
     constraints: tuple[str, ...],
     rounds: int,
@@ -101,7 +101,7 @@ def _until_certified(
 
 
 @lru_cache
-def _free(basis: AbstractPairBasis) -> np.ndarray:
+def _free(basis: AbstractProductBasis) -> np.ndarray:
     """An orthonormal basis of the coefficients whose series vanishes at the horizon."""
     equations = horizon_equations(basis)
     _, size, right = np.linalg.svd(equations)

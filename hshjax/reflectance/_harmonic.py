@@ -55,6 +55,7 @@ from hshjax.reflectance._harmonic_tables import (
     materials,
     restrictions,
 )
+from hshjax.reflectance._parts import products
 
 BLOCK = 1024
 """Points a block unless the caller says otherwise: what order 8 makes of them stays in the second-level cache."""
@@ -66,7 +67,7 @@ def harmonic_radiance(
 ) -> Float[Array, "n channels"]:
     """Radiance `(n, channels)` that leaves points towards `view`: of any order, under a light of any order."""
     problem = Problem.of(brdf, light.order)
-    matrix = to_matrix(brdf.basis, brdf.coefficients)
+    matrix = to_matrix(products(brdf), brdf.coefficients)
     coefficients, matrix = (a.astype(normal.dtype) for a in (light.coefficients, matrix))
     channels = jnp.broadcast_shapes(coefficients.shape[1:], matrix.shape[2:])
     coefficients = jnp.broadcast_to(coefficients, coefficients.shape[:1] + channels)

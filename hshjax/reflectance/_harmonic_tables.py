@@ -13,6 +13,7 @@ from hshjax.bases._rotation import EXACT, azimuthal, partners, quarter_turn
 from hshjax.brdfs import LinearBRDF
 from hshjax.brdfs._linear import EXPONENTS
 from hshjax.quadrature import polar_nodes
+from hshjax.reflectance._parts import products
 
 
 class Problem(NamedTuple):
@@ -29,7 +30,7 @@ class Problem(NamedTuple):
         symmetry = "none"
         if isinstance(brdf.basis, IsotropicBasis):
             symmetry = "bilateral" if brdf.basis.bilateral else "isotropic"
-        return cls(order, brdf.basis.basis, symmetry, EXPONENTS[brdf.target])
+        return cls(order, products(brdf).basis, symmetry, EXPONENTS[brdf.target])
 
 
 class Layout(NamedTuple):

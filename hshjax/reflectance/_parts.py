@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from hshjax._typing import PairFunction
-from hshjax.bases import HSH, IsotropicBasis
+from hshjax.bases import HSH, AbstractProductBasis, IsotropicBasis
 from hshjax.brdfs import Lambert, LinearBRDF
 from hshjax.brdfs._base import ScaledBRDF, SumBRDF
 from hshjax.geometry import common_dtype
@@ -26,10 +26,16 @@ def brdfs_of(brdf: PairFunction) -> list:
     return [brdf]
 
 
+def products(series: LinearBRDF) -> AbstractProductBasis:
+    """The basis of what `as_series` has found."""
+    assert isinstance(series.basis, AbstractProductBasis)
+    return series.basis
+
+
 def as_series(brdf: PairFunction) -> LinearBRDF | None:
-    """The same BRDF as a series in a pair basis, or None if it is not one."""
+    """The same BRDF as a series in a pair basis, or None if it is not one in products of two directions."""
     if isinstance(brdf, LinearBRDF):
-        return brdf
+        return brdf if isinstance(brdf.basis, AbstractProductBasis) else None
     if isinstance(brdf, Lambert):
         # Order 0 is the constant 1 / 2π.
         return LinearBRDF(IsotropicBasis(HSH(0)), 2 * jnp.reshape(brdf.albedo, (1, -1)))

@@ -32,6 +32,7 @@ from hshjax.geometry import frame, upper
 from hshjax.lighting import HarmonicLight
 from hshjax.quadrature import polar_nodes
 from hshjax.reflectance._harmonic_tables import Problem, restriction
+from hshjax.reflectance._parts import products
 
 
 class NormalSeries(AbstractBasis):
@@ -89,7 +90,7 @@ def map_radiance(
     local = matmul(normal, turn.T)
     above = ~(local[:, 2:] <= 0)  # NaN is not below: it stays NaN
     local = jnp.where(above, local, jnp.asarray([[0, 0, 1]], local.dtype))
-    matrix = to_matrix(brdf.basis, brdf.coefficients).astype(normal.dtype)
+    matrix = to_matrix(products(brdf), brdf.coefficients).astype(normal.dtype)
     coefficients = rotated(light.order, light.coefficients.astype(normal.dtype), turn)
     channels = jnp.broadcast_shapes(coefficients.shape[1:], matrix.shape[2:])
     coefficients = jnp.broadcast_to(coefficients, coefficients.shape[:1] + channels)

@@ -1,0 +1,186 @@
+"""Reciprocal functions of the half vector and the difference vector: compact where a material has a highlight."""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._special import RadialTables, jacobi_matrix, powers, radial_rows, radial_tables
+from hshjax._typing import Array, Float
+from hshjax.bases._isotropic import radial_sums
+from hshjax.bases._pairs import AbstractPairBasis
+from hshjax.bases._warp import AbstractWarp, LogWarp
+
+Mode = tuple[int, int, int]
+
+COST = (1 / 1.4, 0.5, 1.2)
+"""Of a degree in the half angle, one in the difference angle, an azimuthal order: what functions are sorted by."""
+
+
+def total_order(count: int, *, bilateral: bool = True, cost: tuple[float, float, float] = COST) -> tuple[Mode, ...]:
+    """The first `count` functions (a, n, m) of `HalfVectorBasis` in the order of a·cost[0] + n·cost[1] + |m|·cost[2].
+
+    A shorter table is a prefix of a longer one. The default costs suit measured isotropic materials: a highlight takes
+    high degrees in the half angle, little depends on the azimuth.
+    """
+    if count < 1:
+        raise ValueError(f"a basis has at least one function, got a count of {count}")
+    limit = 2.0
+    while True:
+        found = sorted(_below(limit, bilateral, cost))
+        if len(found) >= count:
+            return tuple(mode for *_, mode in found[:count])
+        limit *= 1.5
+
+
+def _below(limit: float, bilateral: bool, cost: tuple[float, float, float]):
+    """Functions of a cost up to `limit`, each behind what they are sorted by."""
+    per_a, per_n, per_m = cost
+    for m in range(0, int(limit / per_m) + 1, 2):
+        for n in range(m, int((limit - m * per_m) / per_n) + 1, 2):
+            for a in range(m // 2, int((limit - m * per_m - n * per_n) / per_a) + 1):
+                for sign in (1,) if bilateral or m == 0 else (1, -1):
+                    yield a * per_a + n * per_n + m * per_m, a, n, m, sign < 0, (a, n, sign * m)
+
+
+def _table(functions: Any) -> tuple[Mode, ...]:
+    if isinstance(functions, int | np.integer):
+        return total_order(int(functions))
+    table = []
+    for mode in functions:
+        a, n, m = mode if len(mode) == 3 else (0, 0, 1)
+        if m % 2 or n % 2 or not (2 * a >= abs(m) <= n):
+            raise ValueError(f"functions are (a, n, m), n and m even, |m| <= n and |m| <= 2a, got {mode}")
+        table.append((int(a), int(n), int(m)))
+    if not table:
+        raise ValueError("a basis has at least one function, got an empty table")
+    if len(set(table)) < len(table):
+        raise ValueError("a function stands twice in the table")
+    return tuple(table)
+
+
+class HalfVectorBasis(AbstractPairBasis):
+    """Isotropic reciprocal functions of the half angle θ_h and the difference direction (θ_d, φ_d).
+
+        B_anm = U_a^μ V_n^μ Φ_m(φ_d),    U_a^μ = sqrt(2a + 1) u^{μ/2} P_{a-μ/2}^{(0,μ)}(2u - 1),
+                                         V_n^μ = sqrt(n + 1) v^{μ/2} P_{(n-μ)/2}^{(0,μ)}(2v - 1),
+
+    with μ = |m|, u = warp(1 - cos θ_h), v = 1 - cos θ_d, Φ_m = sqrt2 cos(m φ_d) for m > 0, sqrt2 sin(|m| φ_d) for
+    m < 0, and 1 for m = 0. A swap of wi and wo adds π to φ_d: m is even, and reciprocity exact. Functions of m >= 0
+    alone are bilateral as well (unchanged under φ_d -> -φ_d). They are polynomials in u, times Zernike's circle
+    polynomials of even order in the difference direction.
+
+    The factor u^{μ/2} is what makes them smooth where wi and wo mirror each other and φ_d loses its meaning; φ_d is
+    never computed. They are orthonormal for du dv dφ_d / 2π on [0, 1] x [0, 1] x [0, 2π): more than the pairs of two
+    hemispheres, and in a measure that follows the warp. `modes` holds (a, n, m).
+
+    - `functions`: such a table; or how many, by `total_order`.
+    - `warp`: its scale α is differentiable, and belongs to the material.
+
+    **Raises:** ValueError for functions that do not exist.
+
+    Source: Rusinkiewicz, A New Change of Variables for Efficient BRDF Representation, EGWR 1998 (the coordinates).
+    """
+
+    functions: tuple[Mode, ...] = eqx.field(static=True, converter=_table)
+    warp: AbstractWarp = eqx.field(default_factory=lambda: LogWarp(jnp.asarray(0.01)))
+
+    def __check_init__(self):
+        if not isinstance(self.warp, AbstractWarp):
+            raise ValueError(f"a HalfVectorBasis needs a warp, got {self.warp!r}")
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        return self.functions
+
+    @property
+    def count(self) -> int:
+        return len(self.functions)
+
+    @property
+    def reciprocal(self) -> bool:
+        return True
+
+    @property
+    def isotropic(self) -> bool:
+        return True
+
+    def degrees(self) -> np.ndarray:
+        return np.array([mode[:2] for mode in self.functions])
+
+    def block_rows(self, wi, wo):
+        n = _layout(self.functions)
+        half, difference, azimuth = _factors(self, wi, wo)
+        norm = jnp.asarray(n.norm, wi.dtype)[:, None]
+        return (norm * azimuth[n.sine, n.p] * half[n.p, n.j] * difference[n.p, n.k]).T
+
+    def block_sums(self, coefficients, wi, wo):
+        n = _layout(self.functions)
+        half, difference = n.half.slope.shape[1], n.difference.slope.shape[1]
+        matrices = jnp.zeros((1 + max(n.sine), n.half.counts.size, half, difference, coefficients.shape[1]), wi.dtype)
+        weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
+        return radial_sums(matrices.at[n.sine, n.p, n.j, n.k].set(weighted), *_factors(self, wi, wo))
+
+
+class Layout(NamedTuple):
+    """Functions by their factors, host arrays: m = ±2p, degrees j and k of the polynomials, sine or cosine, norm."""
+
+    p: np.ndarray
+    j: np.ndarray
+    k: np.ndarray
+    sine: np.ndarray
+    norm: np.ndarray
+    half: RadialTables
+    difference: RadialTables
+
+
+@lru_cache
+def _layout(functions: tuple[Mode, ...]) -> Layout:
+    a, n, m = np.array(functions, np.int32).T  # int32 for the reason that is given in _isotropic.py
+    p = np.abs(m) // 2
+    j, k = a - p, (n - 2 * p) // 2
+
+    def tables(degree):
+        counts = [int(max(degree[p == q], default=0)) + 1 for q in range(p.max() + 1)]
+        return radial_tables(counts, lambda q: np.sqrt(2 * q + 1), lambda q, size: jacobi_matrix(0, 2 * q, size))
+
+    return Layout(p, j, k, (m < 0).astype(np.int32), np.where(m == 0, 1, np.sqrt(2)), tables(j), tables(k))
+
+
+def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
+    """Polynomials in u and in v, `(orders, degrees, pairs)`, and (Re, Im) of c^p, `(2, orders, pairs)`."""
+    n = _layout(basis.functions)
+    chart = half_chart(basis.warp, wi, wo)
+    re, im = chart.turn
+    azimuth = powers((re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
+    return radial_rows(n.half, 2 * chart.u - 1), radial_rows(n.difference, 2 * chart.v - 1), azimuth
+
+
+class HalfChart(NamedTuple):
+    """Coordinates of pairs: u = warp(1 - cos θ_h), v = 1 - cos θ_d, and c = u v exp(2i φ_d) as (Re, Im)."""
+
+    u: Float[Array, " pairs"]
+    v: Float[Array, " pairs"]
+    turn: tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
+
+
+def half_chart(warp: AbstractWarp, wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]) -> HalfChart:
+    """Smooth wherever both directions lie above the horizon, without an angle: as smooth as the warp."""
+    total, half = wi + wo, (wi - wo) / 2
+    square = jnp.sum(total * total, axis=1)
+    proper = square > 0  # wi = -wo, on the horizon, has no half vector
+    length = jnp.sqrt(jnp.where(proper, square, 1))
+    hx, hy, hz = (total[:, k] / length for k in range(3))
+    hz = jnp.where(proper, hz, 1)
+    cos_d = jnp.where(proper, length / 2, 0)
+    o = (hx * hx + hy * hy) / (1 + hz)  # 1 - cos θ_h without its cancellation
+    v = jnp.sum(half * half, axis=1) / (1 + cos_d)
+    # The difference vector, sin θ_d long, turned the short way from h to the pole; then relative to the azimuth of h.
+    lift = half[:, 2] / (1 + hz)
+    dx, dy = half[:, 0] - lift * hx, half[:, 1] - lift * hy
+    re, im = dx * hx + dy * hy, dy * hx - dx * hy
+    ratio = warp.ratio(o)
+    scale = ratio / ((1 + hz) * (1 + cos_d))
+    return HalfChart(o * ratio, v, (scale * (re * re - im * im), scale * 2 * re * im))

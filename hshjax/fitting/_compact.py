@@ -1,0 +1,126 @@
+"""A measured isotropic material as a compact reciprocal model: the logarithm as a series over a half-vector basis."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._typing import Float, PairFunction
+from hshjax.bases import HalfVectorBasis, LogWarp
+from hshjax.brdfs._log_linear import LogLinearBRDF
+from hshjax.fitting._compact_equations import Problem, Trial
+from hshjax.geometry import from_half_difference
+from hshjax.metrics import with_channels
+from hshjax.samples import Samples
+
+ALPHAS = tuple(float(alpha) for alpha in np.logspace(-6, 0, 13))
+"""Scales of the warp that are tried: half a decade apart, from lobes of 0.1 degrees to none."""
+
+
+class CompactFit(eqx.Module):
+    """What `fit_compact` has found.
+
+    - `model`: a `LogLinearBRDF`; its `count` leaves out the scale α of the warp, and two bounds for each channel.
+    - `alphas`, `losses` `(alphas,)`: the scales that were tried, and the loss of each; the model is of the least.
+    - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are.
+    - `samples`: how many have a weight. - `floored`: share of their values that lie below the floor, and count as it.
+    """
+
+    model: LogLinearBRDF
+    alphas: tuple[float, ...] = eqx.field(static=True)
+    losses: Float[np.ndarray, " alphas"]
+    log_error: float
+    samples: int = eqx.field(static=True)
+    floored: float
+
+    @property
+    def alpha(self) -> float:
+        """The scale of the model's warp."""
+        return self.alphas[int(np.argmin(self.losses))]
+
+
+def half_vector_samples(
+    brdf: PairFunction, *, shape: tuple[int, int, int] = (60, 20, 8), largest: float = float(np.radians(80))
+) -> Samples:
+    """An isotropic BRDF on a grid that follows its highlight, reciprocal and bilateral.
+
+    Centres of equal cells in sqrt(θ_h), θ_d and φ_d over [0, π/2] each, `shape` of them, where both directions lie less
+    than `largest` [radians] from the normal. Each value is the mean over φ_d, -φ_d, π - φ_d and π + φ_d: what violates
+    reciprocity or mirror symmetry cancels. All weights are 1.
+    """
+    h, d, f = ((np.arange(size) + 0.5) / size * np.pi / 2 for size in shape)
+    grid = [axis.ravel() for axis in np.meshgrid(h**2 * 2 / np.pi, d, f, indexing="ij")]
+    wi, wo = from_half_difference(*map(jnp.asarray, grid))
+    seen = np.asarray((wi[:, 2] > np.cos(largest)) & (wo[:, 2] > np.cos(largest)))
+    theta_h, theta_d, phi_d = (jnp.asarray(axis[seen]) for axis in grid)
+    folded = [
+        with_channels(jnp.asarray(brdf(*from_half_difference(theta_h, theta_d, phi))), 1)
+        for phi in (phi_d, -phi_d, np.pi - phi_d, np.pi + phi_d)
+    ]
+    return Samples.scattered(wi[seen], wo[seen], sum(folded[1:], start=folded[0]) / 4, isotropic=True)
+
+
+def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **settings) -> CompactFit:
+    """A positive reciprocal model of an isotropic material in so many coefficients, all channels together.
+
+    ln ρ is a series over `HalfVectorBasis`, in closed form for every scale α of its warp; the best one is kept. Weights
+    are such that differences count as |Δ ln(1 + ρ z / dark)|, to first order.
+
+    **Arguments:**
+
+    - `data`: samples [sr^-1, no cosine], any channels; or a BRDF, which is sampled by `half_vector_samples`.
+    - `coefficients`: how many in all. Two thirds make the shape, which channels share; the rest is colour.
+    - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
+    - `dark`: z ρ [sr^-1] below which differences count less: 0.03. - `everywhere`: share of a flat weight: 0.1.
+    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4. - `ridge`: relative: 1e-7.
+    - `mixing` `(components, channels)`: see `LogLinearBRDF`; for spectra a few components do.
+
+    Found on the host in float64, in blocks; not under `jax.jit`. `fit_compact_all` fits many materials.
+
+    **Raises:** ValueError for samples that are not finite, all below the floor, or fewer than the unknowns.
+
+    Source: the weights and the warp were found on measured materials, see docs/decisions.md.
+    """
+    return fit_compact_all([data], coefficients, **settings)[0]
+
+
+def fit_compact_all(
+    data: Sequence[Samples | PairFunction],
+    coefficients: int = 150,
+    *,
+    alphas: Sequence[float] | None = None,
+    dark: float = 0.03,
+    everywhere: float = 0.1,
+    floor: float = 1e-4,
+    ridge: float = 1e-7,
+    mixing: Any = None,
+) -> list[CompactFit]:
+    """`fit_compact` of every material, all with samples at the same directions: functions are evaluated once for all.
+
+    **Raises:** what `fit_compact` does; ValueError for materials that differ in a direction or in their channels.
+    """
+    for name, value in {"dark": dark, "everywhere": everywhere, "floor": floor, "ridge": ridge}.items():
+        if not value > 0:
+            raise ValueError(f"{name} must be > 0, got {value}")
+    with jax.enable_x64(True):
+        samples = [one if isinstance(one, Samples) else half_vector_samples(one) for one in data]
+        problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
+        tried = problem.resolved(ALPHAS if alphas is None else alphas)
+        found = [problem.fits(alpha) for alpha in tried]
+        losses = np.array([[fit.loss for fit in one] for one in found])
+        return [
+            _result(problem, k, tried, losses[:, k], found[best][k]) for k, best in enumerate(np.argmin(losses, axis=0))
+        ]
+
+
+def _result(
+    problem: Problem, material: int, alphas: tuple[float, ...], losses: Float[np.ndarray, " alphas"], found: Trial
+) -> CompactFit:
+    basis = HalfVectorBasis(problem.table, LogWarp(jnp.asarray(alphas[int(np.argmin(losses))])))
+    parts = [jnp.asarray(found.solution[:size, k]) for k, size in enumerate(problem.sizes)]
+    bounds = (jnp.asarray(bound[material]) for bound in (problem.low, problem.high))
+    model = LogLinearBRDF(basis, parts, jnp.asarray(problem.mixing), *bounds)
+    return CompactFit(model, alphas, losses, found.log_error, problem.weight.size, float(problem.floored[material]))

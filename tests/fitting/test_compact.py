@@ -1,0 +1,146 @@
+"""Compact fits: what they promise of materials that are known, and of data that are not good."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hshjax.bases import HalfVectorBasis, LogWarp
+from hshjax.brdfs import GGX, Lambert, LogLinearBRDF
+from hshjax.fitting import fit_compact, fit_compact_all, half_vector_samples
+from hshjax.samples import Samples
+from tests.helpers import X64, directions
+
+pytestmark = pytest.mark.skipif(not X64, reason="found on the host in float64, whatever the leg")
+
+SHAPE = (24, 10, 4)
+PLASTIC = Lambert([0.3, 0.1, 0.05]) + 0.1 * GGX(1.0, 0.1)
+
+
+def plastic():
+    return half_vector_samples(PLASTIC, shape=SHAPE)
+
+
+def far_and_near():
+    """A dense set of pairs, up to the horizon."""
+    return directions(0, 20000), directions(1, 20000)
+
+
+def test_samples_follow_the_highlight_and_are_folded():
+    """Means over the swap and the mirror image; cells of equal width in sqrt(θ_h)."""
+
+    def crooked(wi, wo):
+        return (1 + wi[:, 2:] + 0.5 * (wi[:, 0] * wo[:, 1] - wi[:, 1] * wo[:, 0])[:, None]) * jnp.ones((1, 2))
+
+    samples = half_vector_samples(crooked, shape=SHAPE)
+    mean = 1 + (samples.wi[:, 2:] + samples.wo[:, 2:]) / 2
+    np.testing.assert_allclose(samples.value, np.repeat(mean, 2, axis=1), rtol=1e-12)
+    half = samples.wi + samples.wo
+    theta = np.arccos(np.minimum(half[:, 2] / np.linalg.norm(half, axis=1), 1))
+    cells = np.sqrt(2 * theta / np.pi) * SHAPE[0] - 0.5
+    np.testing.assert_allclose(cells, np.round(cells), atol=1e-5)
+    assert float(jnp.minimum(samples.wi[:, 2], samples.wo[:, 2]).min()) > np.cos(np.radians(80))
+    assert samples.isotropic
+
+
+def test_a_model_is_found_again():
+    """ρ in the span, its scale among those tried: to the ridge."""
+    rng = np.random.default_rng(0)
+    basis = HalfVectorBasis(20, LogWarp(jnp.asarray(1e-3)))
+    truth = LogLinearBRDF(basis, [jnp.asarray(0.2 * rng.normal(size=n)) for n in (20, 5, 5)])
+    found = fit_compact(half_vector_samples(truth, shape=SHAPE), 30)
+    assert found.alpha == pytest.approx(1e-3)
+    assert found.model.count == 30
+    assert found.log_error < 1e-6
+    for part, expected in zip(found.model.coefficients, truth.coefficients, strict=True):
+        np.testing.assert_allclose(part, expected, atol=1e-4)
+
+
+def test_more_coefficients_tell_more():
+    samples = plastic()
+    errors = [fit_compact(samples, n).log_error for n in (10, 25, 60)]
+    assert errors[0] > 2 * errors[1] > 4 * errors[2]
+    assert errors[2] < 0.003
+
+
+def test_the_error_is_what_it_says():
+    samples = plastic()
+    found = fit_compact(samples, 25)
+    difference = 0
+    for w in (samples.wi, samples.wo):
+        z = np.asarray(w[:, 2:])
+        fitted = np.asarray(found.model(samples.wi, samples.wo))
+        difference += np.mean(np.abs(np.log1p(z * np.asarray(samples.value)) - np.log1p(z * fitted))) / 2
+    assert found.log_error == pytest.approx(difference, rel=1e-9)
+    assert found.losses.shape == (len(found.alphas),)
+
+
+def test_many_materials_are_fitted_as_one_by_one():
+    both = [plastic(), half_vector_samples(GGX([0.9, 0.6, 0.3], 0.3), shape=SHAPE)]
+    for one, together in zip(both, fit_compact_all(both, 25), strict=True):
+        alone = fit_compact(one, 25)
+        assert alone.alpha == together.alpha
+        np.testing.assert_allclose(alone.model.coefficients[0], together.model.coefficients[0], rtol=1e-6, atol=1e-8)
+
+
+def test_blocks_change_nothing(monkeypatch):
+    samples = plastic()
+    whole = fit_compact(samples, 25)
+    monkeypatch.setattr("hshjax.fitting._compact_equations.ROWS", 100)
+    parts = fit_compact(samples, 25)
+    np.testing.assert_allclose(parts.losses, whole.losses, rtol=1e-6)
+    np.testing.assert_allclose(parts.model.coefficients[0], whole.model.coefficients[0], rtol=1e-4, atol=1e-6)
+
+
+def scattered(n=600, **changes):
+    given = {"wi": directions(5, n), "wo": directions(6, n)} | changes
+    value = changes.get("value", PLASTIC(given["wi"], given["wo"]))
+    return Samples.scattered(given["wi"], given["wo"], value, isotropic=True)
+
+
+POOR = {
+    "scattered": lambda: scattered(),
+    "a sliver": lambda: scattered(wi=directions(5, 600, min_z=0.98), wo=directions(6, 600, min_z=0.98)),
+    "one incidence": lambda: scattered(wi=jnp.broadcast_to(jnp.asarray([0.6, 0, 0.8]), (600, 3))),
+    "constant": lambda: scattered(value=jnp.full((600, 3), 0.2)),
+    "negative values": lambda: scattered(value=jnp.asarray(np.random.default_rng(0).normal(0.1, 0.2, (600, 3)))),
+    "one channel": lambda: scattered(value=GGX(1.0, 0.2)(directions(5, 600), directions(6, 600))),
+    "thirty": lambda: scattered(n=30),
+}
+
+
+@pytest.mark.parametrize("case", POOR)
+def test_poor_data_do_not_explode(case):
+    """Nowhere, up to the horizon, beyond three times the largest value, nor below a third of the least that counts."""
+    samples = POOR[case]()
+    found = fit_compact(samples, 30)
+    value = np.asarray(found.model(*far_and_near()))
+    assert np.all(np.isfinite(value))
+    assert value.max() < 3 * float(samples.value.max())
+    assert value.min() > max(float(samples.value.min()), 1e-4) / 3
+    assert (found.floored > 0) == (case == "negative values")
+
+
+@pytest.mark.parametrize(
+    ("samples", "settings", "message"),
+    [
+        (lambda: scattered(value=jnp.zeros((600, 3))), {}, "material 0 is black"),
+        (lambda: scattered(value=jnp.full((600, 3), jnp.inf)), {}, "1800 values that are not finite"),
+        (lambda: scattered(n=10), {}, "10 samples do not determine 20 functions of 30 coefficients"),
+        (lambda: scattered(), {"alphas": [0.0]}, "scales are positive"),
+        (lambda: scattered(), {"dark": 0.0}, "dark must be > 0"),
+        (lambda: scattered(), {"mixing": np.ones((2, 2))}, r"shape \(components, 3\), got \(2, 2\)"),
+    ],
+    ids=["black", "infinite", "too few", "a scale of 0", "dark", "mixing"],
+)
+def test_refusals(samples, settings, message, unchecked):
+    with pytest.raises(ValueError, match=message):
+        fit_compact(samples(), 30, **settings)
+
+
+def test_materials_that_differ(unchecked):
+    with pytest.raises(ValueError, match="material 1 differs from material 0"):
+        fit_compact_all([scattered(), scattered(n=500)], 30)
+    with pytest.raises(ValueError, match="no material"):
+        fit_compact_all([], 30)
+    with pytest.raises(ValueError, match="3 components take as many coefficients"):
+        fit_compact(scattered(), 2)
