@@ -80,7 +80,8 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
 
     Found on the host in float64, in blocks; not under `jax.jit`. `fit_compact_all` fits many materials.
 
-    **Raises:** ValueError for samples that are not finite, all below the floor, or fewer than the unknowns.
+    **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
+    for values all below the floor; for fewer samples than functions.
 
     Source: the weights and the warp were found on measured materials, see docs/decisions.md.
     """
@@ -110,15 +111,16 @@ def fit_compact_all(
         problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
         tried = problem.resolved(ALPHAS if alphas is None else alphas)
         found = [problem.fits(alpha) for alpha in tried]
-        losses = np.array([[fit.loss for fit in one] for one in found])
-        return [
-            _result(problem, k, tried, losses[:, k], found[best][k]) for k, best in enumerate(np.argmin(losses, axis=0))
-        ]
+    losses = np.array([[fit.loss for fit in one] for one in found])
+    return [
+        _result(problem, k, tried, losses[:, k], found[best][k]) for k, best in enumerate(np.argmin(losses, axis=0))
+    ]
 
 
 def _result(
     problem: Problem, material: int, alphas: tuple[float, ...], losses: Float[np.ndarray, " alphas"], found: Trial
 ) -> CompactFit:
+    """The model, in the default float of the caller."""
     basis = HalfVectorBasis(problem.table, LogWarp(jnp.asarray(alphas[int(np.argmin(losses))])))
     parts = [jnp.asarray(found.solution[:size, k]) for k, size in enumerate(problem.sizes)]
     bounds = (jnp.asarray(bound[material]) for bound in (problem.low, problem.high))

@@ -9,6 +9,8 @@ import numpy as np
 from hshjax._typing import Array
 from hshjax.bases import HalfVectorBasis, LogWarp, total_order
 from hshjax.brdfs._log_linear import contrasts
+from hshjax.fitting._checks import check_samples
+from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
 
 MARGIN = 0.7
@@ -33,6 +35,8 @@ class Problem:
         if not samples:
             raise ValueError("there is no material to fit")
         first = samples[0]
+        for one in samples:
+            check_samples(one, named_norm("C"), coefficients, ridged=True)
         for k, one in enumerate(samples):
             if (
                 any(not np.array_equal(getattr(one, part), getattr(first, part)) for part in ("wi", "wo", "weight"))
@@ -64,8 +68,6 @@ class Problem:
         if self.mixing.ndim != 2 or self.mixing.shape[1] != self.value.shape[2]:
             raise ValueError(f"mixing must have shape (components, {self.value.shape[2]}), got {self.mixing.shape}")
         for k, value in enumerate(self.value):
-            if not np.all(np.isfinite(value)):
-                raise ValueError(f"material {k} holds {np.sum(~np.isfinite(value))} values that are not finite")
             if not np.any(value > floor):
                 raise ValueError(f"material {k} is black: no value is above the floor of {floor:g}")
         if self.weight.size < self.sizes[0]:

@@ -29,16 +29,21 @@ def test_every_recipe_has_a_smoke_config():
 
 
 LONG = (
+    "compact_race",
     "face_relit",
     "joint_recovery",
     "lighting_recovery",
     "material_fit",
     "measured_fits",
     "mitsuba_spheres",
+    "paper_basis_sweep",
     "reciprocity_filter",
     "recovery",
 )
 """Their smaller parts are tested by themselves; one makes an environment for another renderer."""
+
+TWICE = ("quickstart",)
+"""Run twice, and not once more by itself."""
 
 ALL = sorted((ROOT / "configs").rglob("*.toml"))
 
@@ -70,12 +75,12 @@ def run(path, runs):
 
 
 @once_is_enough
-@pytest.mark.parametrize("path", [slow_unless(path.stem not in LONG, path, id=path.stem) for path in SMOKE])
+@pytest.mark.parametrize("path", [slow_unless(path.stem not in (*LONG, *TWICE), path, id=path.stem) for path in SMOKE])
 def test_smoke(path, tmp_path):
     assert run(path, tmp_path / "runs") != "{}"
 
 
 @once_is_enough
-@pytest.mark.parametrize("path", [slow_unless(path.stem == "quickstart", path, id=path.stem) for path in SMOKE])
+@pytest.mark.parametrize("path", [slow_unless(path.stem in TWICE, path, id=path.stem) for path in SMOKE])
 def test_the_same_seed_measures_the_same(path, tmp_path):
     assert run(path, tmp_path / "first") == run(path, tmp_path / "second")

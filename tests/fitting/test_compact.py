@@ -124,13 +124,14 @@ def test_poor_data_do_not_explode(case):
     ("samples", "settings", "message"),
     [
         (lambda: scattered(value=jnp.zeros((600, 3))), {}, "material 0 is black"),
-        (lambda: scattered(value=jnp.full((600, 3), jnp.inf)), {}, "1800 values that are not finite"),
+        (lambda: scattered(value=jnp.full((600, 3), jnp.inf)), {}, "600 of 600 samples .* hold NaN or infinite values"),
+        (lambda: scattered(wi=-directions(5, 600)), {}, "600 of 600 samples .* below the horizon"),
         (lambda: scattered(n=10), {}, "10 samples do not determine 20 functions of 30 coefficients"),
         (lambda: scattered(), {"alphas": [0.0]}, "scales are positive"),
         (lambda: scattered(), {"dark": 0.0}, "dark must be > 0"),
         (lambda: scattered(), {"mixing": np.ones((2, 2))}, r"shape \(components, 3\), got \(2, 2\)"),
     ],
-    ids=["black", "infinite", "too few", "a scale of 0", "dark", "mixing"],
+    ids=["black", "infinite", "below", "too few", "a scale of 0", "dark", "mixing"],
 )
 def test_refusals(samples, settings, message, unchecked):
     with pytest.raises(ValueError, match=message):

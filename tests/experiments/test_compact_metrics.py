@@ -1,0 +1,82 @@
+"""The judge of compact models, against what is known in closed form."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from experiments.recipes._compact_metrics import (
+    Table,
+    images,
+    l2_error,
+    largest_albedo,
+    log_error,
+    pictures,
+    psnr,
+    table,
+    together,
+)
+from hshjax import GGX, HalfVectorBasis, Lambert, LogLinearBRDF, LogWarp, pair_rule
+from tests.helpers import X64, directions
+
+pytestmark = pytest.mark.skipif(not X64, reason="studies run in float64")
+
+
+def test_log_error_of_a_factor():
+    wi, wo = np.asarray(directions(0, 50)), np.asarray(directions(1, 50))
+    value = np.full((50, 2), 3.0)
+    expected = [np.log((1 + 3 * w[:, 2]) / (1 + 2 * w[:, 2])).mean() for w in (wi, wo)]
+    assert log_error(value, value - 1, wi, wo) == pytest.approx(1e3 * np.mean(expected))
+    assert log_error(value, value, wi, wo) == 0
+
+
+def test_l2_error_is_an_integral():
+    """Of ρ cos cos over pairs below 80 degrees, against a rule over all pairs: cells and rim to 2 %."""
+
+    def brdf(wi, wo):
+        return jnp.exp(-4 * (wi[..., :1] - wo[..., :1]) ** 2 - wi[..., 1:2] * wo[..., 1:2]) * wi[..., 2:] * wo[..., 2:]
+
+    def folded(wi, wo):
+        mirror = jnp.asarray([1.0, -1, 1])
+        return (brdf(wi, wo) + brdf(wi * mirror[None], wo * mirror[None])) / 2
+
+    # Isotropic: the mean over rotations about the normal.
+    def isotropic(wi, wo):
+        turned = []
+        for phi in 2 * np.pi * np.arange(16) / 16:
+            turn = jnp.asarray([[np.cos(phi), -np.sin(phi), 0], [np.sin(phi), np.cos(phi), 0], [0, 0, 1]])
+            turned.append(folded(wi @ turn.T, wo @ turn.T))
+        return sum(turned[1:], start=turned[0]) / 16
+
+    truth = table(isotropic)
+    rule = pair_rule(24)
+    cosines = np.asarray(rule.weight * (rule.wi[:, 2] * rule.wo[:, 2]) ** 2)
+    value = np.asarray(isotropic(rule.wi, rule.wo))[:, 0]
+    expected = np.sqrt(np.sum(cosines * (value - 0.1) ** 2) / np.sum(cosines * value**2))
+    assert l2_error(truth, np.full_like(truth.value, 0.1)) == pytest.approx(expected, rel=0.02)
+    assert l2_error(Table(*truth), truth.value) == 0
+
+
+def test_albedo_of_what_is_known():
+    """Lambert: its albedo. A sharp lobe in a white furnace, at normal incidence: all but what shadows take."""
+    np.testing.assert_allclose(largest_albedo(Lambert([0.5, 0.2])), [0.5, 0.2], rtol=2e-3)
+    np.testing.assert_allclose(largest_albedo(GGX(1.0, 0.01), [0.0]), 1.0, atol=2e-3)
+
+
+def test_models_together_are_what_they_are_alone():
+    basis, rng = HalfVectorBasis(9, LogWarp(jnp.asarray(0.01))), np.random.default_rng(0)
+    models = [
+        LogLinearBRDF(basis, [jnp.asarray(rng.normal(size=n)) for n in (9, 3, 3)], high=jnp.full(3, 0.5 + k))
+        for k in range(2)
+    ]
+    wi, wo = directions(0, 30), directions(1, 30)
+    expected = np.concatenate([model(wi, wo) for model in models], axis=1)
+    np.testing.assert_allclose(together(models)(wi, wo), expected, rtol=1e-12)
+
+
+def test_pictures_of_the_same_are_the_same():
+    lamps = pictures([], 16)
+    assert len(lamps) == 1
+    shown = images(Lambert([0.5, 0.3, 0.1]), lamps)
+    assert psnr(shown, shown) == 80
+    darker = [0.9 * image for image in shown]
+    assert 20 < psnr(shown, darker) < 40
