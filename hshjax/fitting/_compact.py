@@ -1,6 +1,7 @@
 """A measured isotropic material as a compact reciprocal model: the logarithm as a series over a half-vector basis."""
 
 from collections.abc import Sequence
+from os import PathLike
 from typing import Any
 
 import equinox as eqx
@@ -25,7 +26,10 @@ class CompactFit(eqx.Module):
 
     - `model`: a `LogLinearBRDF`; its `count` leaves out the scale α of the warp, and two bounds for each channel.
     - `alphas`, `losses` `(alphas,)`: the scales that were tried, and the loss of each; the model is of the least.
-    - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are.
+      The loss is Σ (Δ ln(1 + ρ z / dark))², weighted. At the end of the range a matte material wants no warp (the
+      largest α), or a highlight is sharper than what was tried (the smallest).
+    - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are. Of
+      dark and matte materials that is an absolute error: `hshjax.relative_error` has the relative ones.
     - `samples`: how many have a weight. - `floored`: share of their values that lie below the floor, and count as it.
     """
 
@@ -71,14 +75,18 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
 
     **Arguments:**
 
-    - `data`: samples [sr^-1, no cosine], any channels; or a BRDF, which is sampled by `half_vector_samples`.
-    - `coefficients`: how many in all. Two thirds make the shape, which channels share; the rest is colour.
+    - `data`: samples [sr^-1, no cosine], any channels; or a BRDF, which is sampled by `half_vector_samples`, up to 80
+      degrees from the normal unless you call it yourself.
+    - `coefficients`: how many in all, 25 to 300 as a rule; time grows with their square and more. Two thirds make the
+      shape, which channels share; the rest is colour.
     - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
     - `dark`: z ρ [sr^-1] below which differences count less: 0.03. - `everywhere`: share of a flat weight: 0.1.
     - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4. - `ridge`: relative: 1e-7.
     - `mixing` `(components, channels)`: see `LogLinearBRDF`; for spectra a few components do.
 
     Found on the host in float64, in blocks; not under `jax.jit`. `fit_compact_all` fits many materials.
+
+    **Returns:** a `CompactFit`.
 
     **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
     for values all below the floor; for fewer samples than functions.
@@ -107,7 +115,7 @@ def fit_compact_all(
         if not value > 0:
             raise ValueError(f"{name} must be > 0, got {value}")
     with jax.enable_x64(True):
-        samples = [one if isinstance(one, Samples) else half_vector_samples(one) for one in data]
+        samples = [one if isinstance(one, Samples) else half_vector_samples(_callable(one)) for one in data]
         problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
         tried = problem.resolved(ALPHAS if alphas is None else alphas)
         found = [problem.fits(alpha) for alpha in tried]
@@ -115,6 +123,13 @@ def fit_compact_all(
     return [
         _result(problem, k, tried, losses[:, k], found[best][k]) for k, best in enumerate(np.argmin(losses, axis=0))
     ]
+
+
+def _callable(data: Any) -> Any:
+    if not callable(data):
+        hint = "; hshjax.io.read_rgl reads a file" if isinstance(data, str | PathLike) else ""
+        raise ValueError(f"a fit needs Samples or a function of pairs of directions, got a {type(data).__name__}{hint}")
+    return data
 
 
 def _result(

@@ -55,8 +55,10 @@ def save_model(path: str | PathLike, model: eqx.Module) -> None:
     A module is saved by its fields: its class, called with them, must give it back. Fields hold modules, arrays,
     numbers, strings, booleans, None, and tuples, lists and string-keyed dicts of those.
 
-    **Raises:** TypeError for anything else, naming the field.
+    **Raises:** TypeError for anything else, naming the field; for the result of a fit, of which to save the `model`.
     """
+    if type(model).__module__.startswith("hshjax.fitting") and hasattr(model, "model"):
+        raise TypeError(f"a {type(model).__name__} is the result of a fit: save its .model")
     writer = _Writer()
     tree = writer.encode(model, type(model).__name__)
     blob = b"".join(writer.blobs)

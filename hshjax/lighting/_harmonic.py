@@ -104,6 +104,8 @@ class HarmonicLight(AbstractLighting):
 
         **Raises:** ValueError for an order that the map does not determine, and where none is enough.
         """
+        if not isinstance(environment, EnvironmentMap):
+            raise ValueError(f"a series comes of an EnvironmentMap(image, up=...), got a {type(environment).__name__}")
         if order is None:
             order = visible_order(Lambert(jnp.ones(1)) if brdf is None else brdf, environment, tolerance)
         height, width, _ = environment.radiance.shape

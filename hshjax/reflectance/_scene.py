@@ -19,7 +19,8 @@ def _lights(lights: Any) -> tuple[AbstractLighting, ...]:
         raise ValueError("a scene needs at least one light")
     for light in lights:
         if not isinstance(light, AbstractLighting):
-            raise ValueError(f"lights of a scene must be lights, got {light!r}")
+            hint = "; an image becomes one by EnvironmentMap(image, up=...)" if eqx.is_array_like(light) else ""
+            raise ValueError(f"lights of a scene must be lights, got a {type(light).__name__}{hint}")
     return lights
 
 
@@ -31,13 +32,20 @@ class Scene(eqx.Module):
     - `surface`: what the camera sees of the shape.
     - `camera`: or, for an eye far away, the unit vector towards it `(3,)`.
 
-    **Raises:** ValueError for no lights, or for something else among them.
+    **Raises:** ValueError for no lights, or something else among them; for another kind of BRDF or surface.
     """
 
     brdf: PairFunction
     lights: tuple[AbstractLighting, ...] = eqx.field(converter=_lights)
     surface: Surface
     camera: AbstractCamera | Float[Array, " 3"]
+
+    def __check_init__(self):
+        if not callable(self.brdf):
+            hint = ", use its .model" if hasattr(self.brdf, "model") else ""
+            raise ValueError(f"a scene needs a function of pairs of directions, got a {type(self.brdf).__name__}{hint}")
+        if not isinstance(self.surface, Surface):
+            raise ValueError(f"a scene needs a Surface, got a {type(self.surface).__name__}")
 
 
 def render(scene: Scene, *, chunk: int | None = None) -> Float[Array, "lights *pixels channels"]:

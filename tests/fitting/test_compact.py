@@ -7,6 +7,7 @@ import pytest
 from hshjax.bases import HalfVectorBasis, LogWarp
 from hshjax.brdfs import GGX, Lambert, LogLinearBRDF
 from hshjax.fitting import fit_compact, fit_compact_all, half_vector_samples
+from hshjax.io import save_model
 from hshjax.samples import Samples
 from tests.helpers import X64, directions
 
@@ -136,6 +137,13 @@ def test_poor_data_do_not_explode(case):
 def test_refusals(samples, settings, message, unchecked):
     with pytest.raises(ValueError, match=message):
         fit_compact(samples(), 30, **settings)
+
+
+def test_what_is_no_material(unchecked, tmp_path):
+    with pytest.raises(ValueError, match=r"got a str; .* reads a file"):
+        fit_compact("paper.bsdf", 30)
+    with pytest.raises(TypeError, match="a CompactFit is the result of a fit"):
+        save_model(tmp_path / "fit.hshjax", fit_compact(scattered(), 30))
 
 
 def test_materials_that_differ(unchecked):

@@ -74,6 +74,17 @@ def test_refusals(lights, unchecked):
         Scene(BRDF, lights, sphere(FAR), FAR)
 
 
+def test_other_things_that_are_refused(unchecked):
+    with pytest.raises(ValueError, match="pairs of directions, got a Surface"):
+        Scene(sphere(FAR), LAMPS, sphere(FAR), FAR)
+    with pytest.raises(ValueError, match="needs a Surface, got a GGX"):
+        Scene(BRDF, LAMPS, BRDF, FAR)
+    with pytest.raises(ValueError, match="an image becomes one by EnvironmentMap"):
+        Scene(BRDF, [np.ones((4, 8, 3))], sphere(FAR), FAR)
+    with pytest.raises(ValueError, match="comes of an EnvironmentMap"):
+        HarmonicLight.from_environment(np.ones((4, 8, 3)), 1)
+
+
 def test_a_camera_nearby_needs_positions(unchecked):
     with pytest.raises(ValueError, match="give their positions"):
         reflect(BRDF, DirectionalLight(AXIS, 1.0), sphere(FAR).normal, NEAR)
