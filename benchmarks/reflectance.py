@@ -49,6 +49,13 @@ def light() -> hshjax.HarmonicLight:
     )
 
 
+def light_map(rows: int) -> hshjax.EnvironmentMap:
+    """The same light as a map."""
+    empty = hshjax.EnvironmentMap(jnp.zeros((rows, 2 * rows, 1), jnp.float32), up="y")
+    radiance = jnp.maximum(light()(jnp.asarray(empty.direction, jnp.float32)), 0)
+    return hshjax.EnvironmentMap(radiance, up="y")
+
+
 def material() -> hshjax.LinearBRDF:
     """GGX in norm D, three channels that differ in their albedo."""
     samples = hshjax.Samples.from_function(
@@ -91,10 +98,8 @@ def calls(size: int, degree: int | None = None, *, far: bool = True) -> dict[str
 
 def beside_mitsuba(size: int, spp: int, rounds: int) -> dict[str, Any]:
     """Medians [ms] of rounds in turn, one process of the peer a round; and the peer's relative noise."""
-    small = hshjax.EnvironmentMap(jnp.zeros((32, 64, 1), jnp.float32), up="y")
-    environment = np.maximum(np.asarray(light()(jnp.asarray(small.direction, jnp.float32))), 0)
     inputs = {
-        "environment": environment, "bsdf": "ggx", "alpha": ALPHA, "variant": "llvm_ad_rgb",
+        "environment": np.asarray(light_map(32).radiance), "bsdf": "ggx", "alpha": ALPHA, "variant": "llvm_ad_rgb",
         "size": size, "spp": spp, "repeats": 5,
     }  # fmt: skip
     ours = {"far": calls(size), "near": calls(size, far=False)}
@@ -163,8 +168,7 @@ def of_pixels(size: int, kind: str, far: bool) -> dict[str, Any]:
 
 def of_quadrature(size: int = 1024, rows: int = 128) -> dict[str, Any]:
     """Inputs, results and temporaries [MB] of value and gradient, for all pixels under all emitters."""
-    empty = hshjax.EnvironmentMap(jnp.zeros((rows, 2 * rows, 1), jnp.float32), up="y")
-    radiance = jnp.maximum(light()(jnp.asarray(empty.direction, jnp.float32)), 0)
+    environment = light_map(rows)
     normals, eye = sphere(size), jnp.asarray([0, 0, 1], jnp.float32)
     row: dict[str, Any] = {"pixels": size**2, "emitters": 2 * rows**2}
     for name, brdf in {"GGX": hshjax.GGX(jnp.ones(3, jnp.float32), jnp.float32(ALPHA)), "series": material()}.items():
@@ -175,7 +179,7 @@ def of_quadrature(size: int = 1024, rows: int = 128) -> dict[str, Any]:
         def loss(model, normals):
             return jnp.mean(value(model, normals))
 
-        model = brdf, hshjax.EnvironmentMap(radiance, up="y")
+        model = brdf, environment
         for kind, function in {"value": value, "gradient": eqx.filter_value_and_grad(loss)}.items():
             found = eqx.filter_jit(function).lower(model, normals).compile().compiled.memory_analysis()
             bytes_ = found.temp_size_in_bytes + found.argument_size_in_bytes + found.output_size_in_bytes

@@ -177,9 +177,8 @@ def blockwise(function: Callable[..., Array], block: int, *arrays: Array) -> Arr
     rows = arrays[0].shape[0]
     if rows <= block:
         return function(*arrays)
-    size = next((size for size in range(block, block // 2, -1) if rows % size == 0), None)
-    if size is None:
-        size = -(-rows // -(-rows // block))
+    divisors = (size for size in range(block, block // 2, -1) if rows % size == 0)
+    size = next(divisors, -(-rows // -(-rows // block)))
     again = -rows % size
 
     def split(array):

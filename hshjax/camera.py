@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from hshjax._fields import bounded, floating
 from hshjax._typing import Array, Float
-from hshjax.brdfs._base import bounded, floating, in_dtype
+from hshjax.brdfs._base import in_dtype
 from hshjax.geometry import common_dtype, normalized
 
 

@@ -12,6 +12,7 @@ ROOT = Path(__file__).parents[1]
 
 FLOORS = {
     "_typing": 0,
+    "_fields": 0,
     "_special": 0,
     "geometry": 0,
     "quadrature": 0,
@@ -32,6 +33,7 @@ FLOORS = {
 """Floor of every top-level module or package of hshjax."""
 
 SAME_FLOOR = {
+    "_fields": {"_typing"},
     "_special": {"_typing"},
     "geometry": {"_typing"},
     "quadrature": {"_typing", "_special", "geometry"},

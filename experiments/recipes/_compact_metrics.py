@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
 
+from experiments.recipes._blocks import square_blocks
 from hshjax import (
     DirectionalLight,
     EnvironmentMap,
@@ -32,12 +33,11 @@ CEILING = 80.0
 """Of a peak signal-to-noise ratio [dB]."""
 
 
-class Table(NamedTuple):
-    """Pairs `(n, 3)`, a material there `(n, channels)`, reciprocal and bilateral, and the weights of L2 `(n,)`."""
+class Cells(NamedTuple):
+    """Pairs `(n, 3)` of the judge's table, and their weights in L2 `(n,)`."""
 
     wi: np.ndarray
     wo: np.ndarray
-    value: np.ndarray
     weight: np.ndarray
 
 
@@ -46,15 +46,20 @@ def positive(brdf: Callable) -> Callable:
     return lambda wi, wo: jnp.maximum(brdf(wi, wo), 0)
 
 
-def table(brdf: Callable) -> Table:
-    """The judge's table of a material."""
-    samples = half_vector_samples(positive(brdf), shape=SHAPE, largest=LARGEST)
+def table(brdf: Callable) -> np.ndarray:
+    """What a material is in the cells, reciprocal and bilateral, `(n, channels)`."""
+    return np.asarray(half_vector_samples(positive(brdf), shape=SHAPE, largest=LARGEST).value)
+
+
+def cells() -> Cells:
+    """The cells of every table."""
+    samples = half_vector_samples(lambda wi, wo: wi[:, 2], shape=SHAPE, largest=LARGEST)
     wi, wo = np.asarray(samples.wi), np.asarray(samples.wo)
     theta_h = np.asarray(angles(half_vector(samples.wi, samples.wo))[0])
     cos_d = np.linalg.norm(wi + wo, axis=1) / 2
     # dω_i dω_o = 4 cos θ_d dω_h dω_d, on cells of equal width in sqrt(θ_h).
     measure = np.sin(theta_h) * np.sqrt(theta_h) * np.sqrt(1 - np.minimum(cos_d, 1) ** 2) * cos_d
-    return Table(wi, wo, np.asarray(samples.value), measure * (wi[:, 2] * wo[:, 2]) ** 2)
+    return Cells(wi, wo, measure * (wi[:, 2] * wo[:, 2]) ** 2)
 
 
 def log_error(value: np.ndarray, fitted: np.ndarray, wi: np.ndarray, wo: np.ndarray) -> float:
@@ -63,10 +68,9 @@ def log_error(value: np.ndarray, fitted: np.ndarray, wi: np.ndarray, wo: np.ndar
     return 1e3 * float(np.mean(errors))
 
 
-def l2_error(truth: Table, fitted: np.ndarray) -> float:
+def l2_error(value: np.ndarray, fitted: np.ndarray, weight: np.ndarray) -> float:
     """Relative, of ρ cos cos, all channels together."""
-    weight = truth.weight[:, None]
-    return float(np.sqrt(np.sum(weight * (fitted - truth.value) ** 2) / np.sum(weight * truth.value**2)))
+    return float(np.sqrt(np.sum(weight[:, None] * (fitted - value) ** 2) / np.sum(weight[:, None] * value**2)))
 
 
 class Picture(NamedTuple):
@@ -81,9 +85,7 @@ def pictures(environments: Sequence[Path], size: int = 128) -> list[Picture]:
     lamps = [DirectionalLight(jnp.asarray(towards), jnp.asarray(power)) for towards, power in LAMPS]
     found = [Picture(_ball(size), lamps[0] + lamps[1] + lamps[2])]
     for path in environments:
-        image = np.asarray(read_exr(path), float)
-        rows, columns, channels = image.shape
-        boxes = image.reshape(32, rows // 32, 64, columns // 64, channels).mean(axis=(1, 3))
+        boxes = square_blocks(np.asarray(read_exr(path), float), 32).mean((1, 3))
         found.append(Picture(_ball(size // 2), EnvironmentMap(jnp.asarray(boxes), up="y")))
     return found
 
@@ -112,8 +114,7 @@ def psnr(truth: list[np.ndarray], fitted: list[np.ndarray]) -> float:
     found = []
     for a, b in zip(truth, fitted, strict=True):
         factor = plotting.exposure(a[None])
-        error = np.mean((plotting.display(a[None], factor) - plotting.display(b[None], factor)) ** 2)
-        found.append(CEILING if error == 0 else min(CEILING, -10 * np.log10(error)))
+        found.append(min(CEILING, plotting.psnr(b[None], a[None], factor)))
     return float(np.mean(found))
 
 

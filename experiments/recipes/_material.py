@@ -140,6 +140,12 @@ def _fitted(pairs: hshjax.IsotropicBasis, samples: hshjax.Samples, fit: FitSecti
     }
 
 
+def hsh_series(brdf: PairFunction, order: int, degree: int) -> hshjax.LinearBRDF:
+    """An isotropic BRDF as a series of HSH: least squares in norm A on a rule of some degree."""
+    samples = hshjax.Samples.from_function(brdf, hshjax.isotropic_pair_rule(degree))
+    return hshjax.project(hshjax.IsotropicBasis(hshjax.HSH(order)), samples, norm="A").model
+
+
 def negative_share(value: np.ndarray, samples: hshjax.Samples) -> float:
     """The share of ∫∫ |ρ| z_i z_o, all channels together, that is negative; `value` at the nodes of `samples`."""
     energy = np.asarray(samples.weight * samples.wi[:, 2] * samples.wo[:, 2])[:, None] * value

@@ -13,7 +13,7 @@ from pydantic import Field
 import hshjax
 from experiments.config import DataPath, RecipeConfig, local_path
 from experiments.recipes._compact_metrics import (
-    Table,
+    cells,
     images,
     l2_error,
     largest_albedo,
@@ -52,11 +52,15 @@ class Config(RecipeConfig):
 def run(config: Config, record: Record) -> None:
     judge = _Judge(config, record)
     rows: list[dict[str, Any]] = []
+    brdfs = [positive(brdf) for brdf in judge.materials.values()]
+    grids = [half_vector_samples(brdf, shape=config.shape) for brdf in brdfs]
     for count in record.progress(config.coefficients, "compact models"):
-        rows += record.stage(f"compact {count}", _compact, config, judge, count)
+        rows += record.stage(f"compact {count}", _compact, judge, grids, count)
+    nodes = [Samples.from_function(brdf, isotropic_pair_rule(config.degree)) for brdf in brdfs]
     for label, basis in (("HSH", HSH(config.hsh_order)), ("Zernike", Zernike(config.zernike_order))):
-        rows += record.stage(label, _products, config, judge, label, IsotropicBasis(basis))
+        rows += record.stage(label, _products, judge, nodes, label, IsotropicBasis(basis))
     rows += record.stage("networks", _networks, config, judge)
+    summary = _summary(rows)
     record.paragraph(
         f"{len(judge.materials)} materials: those measured in `{config.folder}` (RGL) and networks that stand in for "
         f"MERL, three channels. Compact models (`hshjax.fit_compact`, its defaults) are fitted to {config.shape[0]} x "
@@ -66,8 +70,8 @@ def run(config: Config, record: Record) -> None:
         "are judged where a measurement is known; both ways: their mean over the swap of the directions. The recipe "
         "behind the defaults was found on these materials by others, and nothing was tuned since."
     )
-    record.table("summary", _summary(rows), "Medians over materials, and the worst decile of the log error.")
-    record.figure("rate", _draw(rows), "Log error against the number of coefficients: medians.")
+    record.table("summary", summary, "Medians over materials, and the worst decile of the log error.")
+    record.figure("rate", _draw(summary), "Log error against the number of coefficients: medians.")
     record.table(
         "table", rows,
         "log: 1000 x mean |Δ ln(1 + ρ cos)| over 90 x 30 x 12 cells of sqrt(θ_h), θ_d, φ_d below 80 degrees, both "
@@ -76,7 +80,7 @@ def run(config: Config, record: Record) -> None:
         "reciprocal. max_albedo: directional, up to 80 degrees. seconds: of the fit, a material's share of the batch, "
         "on the machine at hand.",
     )  # fmt: skip
-    for row in _summary(rows):
+    for row in summary:
         record.metric(f"{row['database']}, {row['model']}, n = {row['n']}: log", row["log"], note="median")
         record.metric(f"{row['database']}, {row['model']}, n = {row['n']}: psnr", row["psnr"], "dB", "median")
 
@@ -92,44 +96,42 @@ class _Judge:
         self.pictures = pictures([local_path(path) for path in config.environments], config.size)
         with np.load(local_path(config.folder) / REFERENCE) as file:
             self.pairs = {key: np.asarray(file[key], float) for key in file}
-        self.tables, self.images = {}, {}
+        self.cells, self.tables, self.images = cells(), {}, {}
         for name, brdf in record.progress(self.materials.items(), "materials"):
             known = record.stage(f"truth {name}", self._truth, brdf)
-            self.tables[name], self.images[name] = Table(**known["table"]), known["images"]
+            self.tables[name], self.images[name] = known["table"], known["images"]
 
     def _truth(self, brdf: Callable) -> dict[str, Any]:
-        return {"table": table(brdf)._asdict(), "images": images(positive(brdf), self.pictures)}
+        return {"table": table(brdf), "images": images(positive(brdf), self.pictures)}
 
     def database(self, name: str) -> str:
         return "RGL" if name in self.measured else "MERL"
 
     def row(self, name: str, n: int, model: str, values: dict[str, Any], seconds: float) -> dict[str, Any]:
         """The figures of a model by its values: table, images, pairs and albedo."""
-        truth = self.tables[name]
+        truth, cells = self.tables[name], self.cells
         pairs = None
         if name in self.measured:
             pairs = log_error(self.pairs[name], values["pairs"], self.pairs["wi"], self.pairs["wo"])
         return {
             "n": n, "database": self.database(name), "material": name, "model": model,
-            "log": log_error(truth.value, values["table"], truth.wi, truth.wo),
-            "psnr": psnr(self.images[name], values["images"]), "l2": l2_error(truth, values["table"]),
+            "log": log_error(truth, values["table"], cells.wi, cells.wo),
+            "psnr": psnr(self.images[name], values["images"]), "l2": l2_error(truth, values["table"], cells.weight),
             "random_pairs_log": pairs, "max_albedo": float(np.max(values["albedo"])), "seconds": seconds,
         }  # fmt: skip
 
     def values(self, brdf: Callable) -> dict[str, Any]:
         """All that `row` asks of a BRDF of any number of channels."""
-        some = next(iter(self.tables.values()))
         model = positive(brdf)
         return {
-            "table": np.asarray(model(jnp.asarray(some.wi), jnp.asarray(some.wo))),
+            "table": np.asarray(model(jnp.asarray(self.cells.wi), jnp.asarray(self.cells.wo))),
             "images": images(model, self.pictures),
             "pairs": np.asarray(model(jnp.asarray(self.pairs["wi"]), jnp.asarray(self.pairs["wo"]))),
             "albedo": largest_albedo(model),
         }
 
 
-def _compact(config: Config, judge: _Judge, count: int) -> list[dict[str, Any]]:
-    samples = [half_vector_samples(positive(brdf), shape=config.shape) for brdf in judge.materials.values()]
+def _compact(judge: _Judge, samples: list[Samples], count: int) -> list[dict[str, Any]]:
     begin = time.perf_counter()
     fits = fit_compact_all(samples, count)
     seconds = (time.perf_counter() - begin) / len(fits)
@@ -151,9 +153,7 @@ def _channels(values: dict[str, Any], part: slice) -> dict[str, Any]:
     }
 
 
-def _products(config: Config, judge: _Judge, label: str, basis: IsotropicBasis) -> list[dict[str, Any]]:
-    rule = isotropic_pair_rule(config.degree)
-    samples = [Samples.from_function(positive(brdf), rule) for brdf in judge.materials.values()]
+def _products(judge: _Judge, samples: list[Samples], label: str, basis: IsotropicBasis) -> list[dict[str, Any]]:
     begin = time.perf_counter()
     fits = hshjax.project_all(basis, samples, norm="A")
     seconds = (time.perf_counter() - begin) / len(fits)
@@ -200,9 +200,8 @@ def _summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def _draw(rows: list[dict[str, Any]]) -> Any:
+def _draw(summary: list[dict[str, Any]]) -> Any:
     figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained", sharey=True)
-    summary = _summary(rows)
     for ax, database in zip(axes, ("MERL", "RGL"), strict=True):
         for model, color in MODELS.items():
             line = sorted(

@@ -9,6 +9,7 @@ from pydantic import Field
 
 import hshjax
 from experiments.config import DataPath, RecipeConfig, local_path
+from experiments.recipes._blocks import square_blocks
 from experiments.recipes._material import Norm, joint_error, negative_share
 from experiments.record import Record
 from hshjax import DirectionalLight, EnvironmentMap, HarmonicLight, Lambert, Scene, Surface, plotting, render
@@ -202,12 +203,9 @@ def _averaged(light: np.ndarray, height: int) -> EnvironmentMap:
 
     **Raises:** ValueError where blocks do not fit.
     """
-    rows, columns, _ = light.shape
-    block = rows // height
-    if rows != block * height or columns % block:
-        raise ValueError(f"height must divide the map into square blocks: {columns} x {rows}, height {height}")
+    blocks = square_blocks(light, height)
+    block = blocks.shape[1]
     weight = EnvironmentMap(light, up="y").solid_angle.reshape(height, block, 1, 1, 1)
-    blocks = light.reshape(height, block, columns // block, block, 3)
     return EnvironmentMap(np.sum(weight * blocks, (1, 3)) / np.sum(weight * block, (1, 3)), up="y")
 
 

@@ -26,8 +26,9 @@ from experiments.recipes._bundle import (
     slopes_of_heights,
     uncertainty,
 )
+from experiments.recipes._material import hsh_series
 from experiments.record import Record
-from hshjax import HSH, IsotropicBasis, LinearBRDF, Samples, isotropic_pair_rule, plotting, project
+from hshjax import LinearBRDF, plotting
 from hshjax.io import read_rgl
 
 METHODS = {"normals": "each normal by itself", "heights": "heights, whose border is known"}
@@ -153,8 +154,7 @@ def _explain(config: Config, record: Record) -> None:
 
 
 def _material(config: Config) -> LinearBRDF:
-    samples = Samples.from_function(read_rgl(local_path(config.material)), isotropic_pair_rule(config.degree))
-    return project(IsotropicBasis(HSH(config.order)), samples, norm="A").model
+    return hsh_series(read_rgl(local_path(config.material)), config.order, config.degree)
 
 
 def _window(size: int) -> np.ndarray:

@@ -14,26 +14,23 @@ from scipy.optimize import linear_sum_assignment, nnls
 
 import hshjax
 from experiments.config import DataPath, RecipeConfig, local_path
+from experiments.recipes._blocks import square_blocks
 from experiments.recipes._linear_inverse import Tikhonov, gradient_energy
+from experiments.recipes._material import hsh_series
 from experiments.recipes._paper import BLUE, ORANGE, PURPLE, RED, plain
 from experiments.record import Record
 from hshjax import (
     GGX,
-    HSH,
     AbstractTerm,
     DirectionalLight,
     EnvironmentMap,
     HarmonicLight,
-    IsotropicBasis,
     Lambert,
     LinearBRDF,
     OrthographicCamera,
-    Samples,
     SphericalHarmonics,
     fit,
-    isotropic_pair_rule,
     plotting,
-    project,
     reflect,
 )
 from hshjax.geometry import normalized
@@ -153,8 +150,7 @@ def _materials(config: Config) -> dict[str, LinearBRDF]:
     if config.folder is not None:
         for path in sorted(local_path(config.folder).glob("*.bsdf"))[:: config.every]:
             known[path.stem.removesuffix("_rgb")] = read_rgl(path)
-    rule, basis = isotropic_pair_rule(config.degree), IsotropicBasis(HSH(config.order))
-    return {name: project(basis, Samples.from_function(brdf, rule), norm="A").model for name, brdf in known.items()}
+    return {name: hsh_series(brdf, config.order, config.degree) for name, brdf in known.items()}
 
 
 def _light(config: Config) -> HarmonicLight:
@@ -163,7 +159,7 @@ def _light(config: Config) -> HarmonicLight:
     rows, columns, _ = image.shape
     largest = max(1, rows // (4 * config.truth_order))
     block = max(size for size in range(1, largest + 1) if rows % size == columns % size == 0)
-    blocks = image.reshape(rows // block, block, columns // block, block, 3)
+    blocks = square_blocks(image, rows // block)
     return HarmonicLight.from_environment(EnvironmentMap(blocks.mean((1, 3)), up="y"), config.truth_order)
 
 

@@ -12,6 +12,7 @@ import hshjax
 from experiments import peers
 from experiments.config import DataPath, RecipeConfig, local_path
 from experiments.peers.interpolation import mitsuba_radiance, refined
+from experiments.recipes._blocks import square_blocks
 from experiments.record import Record
 from hshjax import plotting
 from hshjax._typing import PairFunction
@@ -179,11 +180,7 @@ def _averaged(image: np.ndarray, height: int) -> np.ndarray:
 
     **Raises:** ValueError where blocks do not fit.
     """
-    rows, columns, _ = image.shape
-    block = rows // height
-    if rows != block * height or columns % block:
-        raise ValueError(f"height must divide the image into square blocks: {columns} x {rows}, height {height}")
-    return np.maximum(image, 0).reshape(height, block, columns // block, block, 3).mean((1, 3))
+    return square_blocks(np.maximum(image, 0), height).mean((1, 3))
 
 
 def _sphere(size: int) -> tuple[np.ndarray, np.ndarray]:

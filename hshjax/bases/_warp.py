@@ -1,13 +1,13 @@
 """Where the radial coordinate of the half vector runs fast: warps of o = 1 - cos θ_h, for lobes of any width."""
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from hshjax._fields import bounded
 from hshjax._typing import Array, Float, Real
 
 
@@ -38,48 +38,39 @@ class RootWarp(AbstractWarp):
         return jnp.where(positive, 1 / jnp.sqrt(jnp.where(positive, o, 1)), 0)
 
 
-def _check_scale(warp: "RationalWarp | LogWarp") -> None:
-    """ValueError unless α is a scalar > 0; values inside a compiled program cannot be seen."""
-    alpha = warp.alpha
-    if alpha.shape != ():
-        raise ValueError(f"{type(warp).__name__} needs a scalar alpha, got shape {alpha.shape}")
-    if not isinstance(alpha, Tracer) and not (np.isfinite(alpha) and alpha > 0):
-        raise ValueError(f"{type(warp).__name__} needs alpha > 0, got {alpha}")
+class AbstractScaledWarp(AbstractWarp):
+    """A warp with a scale α.
 
+    **Raises:** ValueError unless α is a scalar > 0; values inside a compiled program cannot be seen.
+    """
 
-def _scale() -> Any:
-    metadata = {"bounds": (1e-8, 10.0), "amplitude": False, "search": (1e-6, 1.0), "logarithmic": True}
-    return eqx.field(converter=lambda alpha: jnp.asarray(alpha, jnp.result_type(float, alpha)), metadata=metadata)
-
-
-class RationalWarp(AbstractWarp):
-    """u = (1 + α) o / (o + α): resolves lobes down to a width of about sqrt(2 α) [radians] in θ_h."""
-
-    alpha: Float[Array, ""] = _scale()
+    alpha: Float[Array, ""] = bounded(1e-8, 10.0, search=(1e-6, 1.0), logarithmic=True)
 
     def __check_init__(self):
-        _check_scale(self)
+        if self.alpha.shape != ():
+            raise ValueError(f"{type(self).__name__} needs a scalar alpha, got shape {self.alpha.shape}")
+        if not isinstance(self.alpha, Tracer) and not (np.isfinite(self.alpha) and self.alpha > 0):
+            raise ValueError(f"{type(self).__name__} needs alpha > 0, got {self.alpha}")
+
+
+class RationalWarp(AbstractScaledWarp):
+    """u = (1 + α) o / (o + α): resolves lobes down to a width of about sqrt(2 α) [radians] in θ_h."""
 
     def ratio(self, o):
         alpha = self.alpha.astype(o.dtype)
         return (1 + alpha) / (o + alpha)
 
 
-class LogWarp(AbstractWarp):
+class LogWarp(AbstractScaledWarp):
     """u = ln(1 + o/α) / ln(1 + 1/α): as `RationalWarp`, with equal care for every scale above that width."""
-
-    alpha: Float[Array, ""] = _scale()
-
-    def __check_init__(self):
-        _check_scale(self)
 
     def ratio(self, o):
         alpha = self.alpha.astype(o.dtype)
         x = o / alpha
         small = x < 1e-2
         # ln(1 + x) / x by its series where the quotient is 0/0: the first term left out is below 1e-14.
-        series = 1.0
+        series = 1 / 7
         for k in range(6, 0, -1):
-            series = 1 / k - x * series if k < 6 else 1 / 6 - x / 7
+            series = 1 / k - x * series
         safe = jnp.where(small, 1, x)
         return jnp.where(small, series, jnp.log1p(safe) / safe) / (alpha * jnp.log1p(1 / alpha))

@@ -3,8 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from hshjax._fields import bounded
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import AbstractBRDF, bounded, cosines, per_channel
+from hshjax.brdfs._base import AbstractBRDF, cosines, per_channel
 from hshjax.brdfs._parameters import check_parameters
 
 

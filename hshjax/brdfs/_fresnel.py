@@ -10,8 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from hshjax._fields import bounded
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import bounded
 from hshjax.brdfs._parameters import check_parameters
 
 

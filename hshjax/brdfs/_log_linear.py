@@ -7,10 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.bases._base import matmul
-from hshjax.brdfs._base import AbstractBRDF, floating
+from hshjax.brdfs._base import AbstractBRDF, per_channel
 
 
 def contrasts(channels: int) -> np.ndarray:
@@ -89,5 +90,4 @@ class LogLinearBRDF(AbstractBRDF):
         columns = jnp.stack([jnp.pad(part, (0, size - part.size)) for part in self.coefficients], axis=1)
         logarithm = matmul(self.basis.evaluate(columns, wi, wo), self.mixing)
         low, high = jax.lax.stop_gradient((self.low, self.high))
-        shape = (1,) * (logarithm.ndim - 1) + (-1,)
-        return jnp.exp(jnp.clip(logarithm, low.reshape(shape), high.reshape(shape)))
+        return jnp.exp(jnp.clip(logarithm, per_channel(low, wi), per_channel(high, wi)))

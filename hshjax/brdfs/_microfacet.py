@@ -8,8 +8,9 @@ written as one factor, which stays finite where G and z vanish together.
 import equinox as eqx
 import jax.numpy as jnp
 
+from hshjax._fields import bounded
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import AbstractBRDF, bounded, cosines, per_channel
+from hshjax.brdfs._base import AbstractBRDF, cosines, per_channel
 from hshjax.brdfs._fresnel import AbstractFresnel, ConstantFresnel
 from hshjax.brdfs._parameters import check_parameters
 from hshjax.geometry import half_vector

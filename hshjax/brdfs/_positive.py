@@ -10,9 +10,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, Real
 from hshjax.bases import AbstractPairBasis
-from hshjax.brdfs._base import AbstractBRDF, floating
+from hshjax.brdfs._base import AbstractBRDF
 from hshjax.brdfs._parameters import check_coefficients
 
 

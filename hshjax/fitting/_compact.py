@@ -120,9 +120,8 @@ def fit_compact_all(
         tried = problem.resolved(ALPHAS if alphas is None else alphas)
         found = [problem.fits(alpha) for alpha in tried]
     losses = np.array([[fit.loss for fit in one] for one in found])
-    return [
-        _result(problem, k, tried, losses[:, k], found[best][k]) for k, best in enumerate(np.argmin(losses, axis=0))
-    ]
+    best = np.argmin(losses, axis=0)
+    return [_result(problem, k, tried[least], found[least][k], tried, losses[:, k]) for k, least in enumerate(best)]
 
 
 def _callable(data: Any) -> Any:
@@ -133,10 +132,15 @@ def _callable(data: Any) -> Any:
 
 
 def _result(
-    problem: Problem, material: int, alphas: tuple[float, ...], losses: Float[np.ndarray, " alphas"], found: Trial
+    problem: Problem,
+    material: int,
+    alpha: float,
+    found: Trial,
+    alphas: tuple[float, ...],
+    losses: Float[np.ndarray, " alphas"],
 ) -> CompactFit:
-    """The model, in the default float of the caller."""
-    basis = HalfVectorBasis(problem.table, LogWarp(jnp.asarray(alphas[int(np.argmin(losses))])))
+    """The model of one material at its α, in the default float of the caller."""
+    basis = HalfVectorBasis(problem.table, LogWarp(jnp.asarray(alpha)))
     parts = [jnp.asarray(found.solution[:size, k]) for k, size in enumerate(problem.sizes)]
     bounds = (jnp.asarray(bound[material]) for bound in (problem.low, problem.high))
     model = LogLinearBRDF(basis, parts, jnp.asarray(problem.mixing), *bounds)

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array
-from hshjax.bases import HalfVectorBasis, LogWarp, total_order
+from hshjax.bases import HalfVectorBasis, IdentityWarp, LogWarp, total_order
+from hshjax.bases._half_vector import half_chart
 from hshjax.brdfs._log_linear import contrasts
 from hshjax.fitting._checks import check_samples
 from hshjax.fitting._norms import named_norm
@@ -35,9 +36,8 @@ class Problem:
         if not samples:
             raise ValueError("there is no material to fit")
         first = samples[0]
-        for one in samples:
-            check_samples(one, named_norm("C"), coefficients, ridged=True)
         for k, one in enumerate(samples):
+            check_samples(one, named_norm("C"), coefficients, ridged=True)
             if (
                 any(not np.array_equal(getattr(one, part), getattr(first, part)) for part in ("wi", "wo", "weight"))
                 or one.channels != first.channels
@@ -49,20 +49,20 @@ class Problem:
         self.mixing = contrasts(first.channels) if mixing is None else np.asarray(mixing, np.float64)
         self.sizes = _sizes(coefficients, self.mixing.shape[0])
         self.table = total_order(self.sizes[0])
-        self.dark, self.ridge, self.everywhere = dark, ridge, everywhere
+        self.dark, self.ridge = dark, ridge
         self._check(coefficients, floor)
         self.floored = np.mean(self.value < floor, axis=(1, 2))
         self.value = np.maximum(self.value, floor)
         self.target = np.log(self.value)
         self.low, self.high = self.target.min(axis=1) - MARGIN, self.target.max(axis=1) + MARGIN
 
-        half = self.wi + self.wo
-        half /= np.linalg.norm(half, axis=1, keepdims=True)
-        self.o = np.sum(half[:, :2] ** 2, axis=1) / (1 + half[:, 2])
+        self.o = np.asarray(half_chart(IdentityWarp(), jnp.asarray(self.wi), jnp.asarray(self.wo)).u)
         theta_h = 2 * np.arcsin(np.sqrt(np.minimum(self.o / 2, 1)))
         self.cosine = (self.wi[:, 2:] + self.wo[:, 2:]) / 2
         # Off the highlight there is more to see than a grid that follows it has samples of.
         self.emphasis = (self.weight * (0.5 + 0.75 * np.sqrt(2 * theta_h / np.pi)))[:, None]
+        seen = self.cosine * self.value
+        self.importance = self.emphasis * ((seen / (dark + seen)) ** 2 + everywhere**2)
 
     def _check(self, coefficients: int, floor: float) -> None:
         if self.mixing.ndim != 2 or self.mixing.shape[1] != self.value.shape[2]:
@@ -88,10 +88,8 @@ class Problem:
         blocks = self._blocks(basis)
         equations = [_Equations(self.mixing, self.sizes) for _ in self.value]
         for part, rows in blocks():
-            for one, value, target in zip(equations, self.value, self.target, strict=True):
-                seen = self.cosine[part] * value[part]
-                relative = seen / (self.dark + seen)
-                one.add(rows, self.emphasis[part] * (relative**2 + self.everywhere**2), target[part])
+            for one, importance, target in zip(equations, self.importance, self.target, strict=True):
+                one.add(rows, importance[part], target[part])
         solutions = [one.solution(self.ridge) for one in equations]
         sums = np.zeros((len(solutions), 2))
         for part, rows in blocks():
@@ -107,8 +105,10 @@ class Problem:
         def rows(part):
             return np.asarray(basis(jnp.asarray(self.wi[part]), jnp.asarray(self.wo[part])))
 
-        kept = {0: rows(parts[0])} if len(parts) == 1 else {}
-        return lambda: ((part, kept[0] if kept else rows(part)) for part in parts)
+        if len(parts) == 1:
+            kept = [(parts[0], rows(parts[0]))]
+            return lambda: iter(kept)
+        return lambda: ((part, rows(part)) for part in parts)
 
     def _misfit(self, material: int, part: slice, components: np.ndarray) -> tuple[float, float]:
         """The loss, and the sum of |Δ ln(1 + ρ z)|."""

@@ -61,7 +61,7 @@ class NonNegative:
     @property
     def box(self) -> np.ndarray:
         """Lower and upper corner, `(2, d)`."""
-        azimuths = [(0, np.pi)] if _bilateral(self.basis) else [(-np.pi, np.pi)] * (1 if _isotropic(self.basis) else 2)
+        azimuths = [(0, np.pi)] if _bilateral(self.basis) else [(-np.pi, np.pi)] * (1 if self.basis.isotropic else 2)
         return np.array([(0, self.edge), (0, self.edge), *azimuths]).T
 
     @property
@@ -120,7 +120,7 @@ class Energy:
     @property
     def box(self) -> np.ndarray:
         """Lower and upper corner, `(2, d)`."""
-        return np.array([(0, self.edge), *([] if _isotropic(self.basis) else [(-np.pi, np.pi)])]).T
+        return np.array([(0, self.edge), *([] if self.basis.isotropic else [(-np.pi, np.pi)])]).T
 
     @property
     def swaps(self) -> bool:
@@ -298,10 +298,6 @@ def _from_polar(alpha: Array, phi: Array) -> Array:
     z = _cosine(alpha)
     rim = jnp.sin(alpha / 2) * jnp.sqrt(1 + z)
     return jnp.stack([rim * jnp.cos(phi), rim * jnp.sin(phi), z], axis=-1)
-
-
-def _isotropic(basis: AbstractProductBasis) -> bool:
-    return basis.isotropic
 
 
 def _bilateral(basis: AbstractProductBasis) -> bool:

@@ -9,8 +9,8 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import floating
 
 
 class AbstractMapping(eqx.Module):

@@ -128,7 +128,8 @@ def project(
             posterior, noise = _posterior(factor, root, coefficients, weight)
 
     certificate, result = None, Outcome.converged
-    if constraints and isinstance(basis, AbstractProductBasis):
+    if constraints:
+        assert isinstance(basis, AbstractProductBasis)  # or it was refused
         assert root is not None  # of both branches above
         coefficients, certificate = constrained(basis, chosen.target, tuple(constraints), rounds, coefficients, root)
         result = Outcome.converged if certificate.holds else Outcome.uncertified

@@ -5,8 +5,8 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import floating
 
 
 class AbstractRobustLoss(eqx.Module):

@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.bases import TensorBasis
-from hshjax.brdfs._base import floating
 from hshjax.brdfs._linear import LinearBRDF
 from hshjax.brdfs._positive import AbstractPositiveBRDF
 from hshjax.fitting._mappings import AbstractMapping, Identity

@@ -3,8 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from hshjax._fields import bounded, floating
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import bounded, floating, in_dtype
+from hshjax.brdfs._base import in_dtype
 from hshjax.brdfs._parameters import check_parameters
 from hshjax.geometry import normalized
 from hshjax.lighting._base import AbstractLighting, Incident, Points, check_vector

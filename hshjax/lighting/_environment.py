@@ -6,8 +6,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, Real
-from hshjax.brdfs._base import floating, in_dtype
+from hshjax.brdfs._base import in_dtype
 from hshjax.geometry import as_directions
 from hshjax.lighting._base import AbstractLighting, Incident, Points
 

@@ -6,12 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.bases import SphericalHarmonics
 from hshjax.bases._base import matmul
 from hshjax.bases._rotation import rotated
 from hshjax.brdfs import Lambert
-from hshjax.brdfs._base import floating, in_dtype
+from hshjax.brdfs._base import in_dtype
 from hshjax.lighting._base import AbstractLighting, Incident, Points
 from hshjax.lighting._environment import EnvironmentMap
 from hshjax.lighting._order import visible_order

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, Int
-from hshjax.brdfs._base import floating, in_dtype
+from hshjax.brdfs._base import in_dtype
 from hshjax.lighting._base import AbstractLighting, Incident, Points
 from hshjax.lighting._shadow import AbstractShadedLight
 

@@ -4,8 +4,9 @@ import abc
 
 import equinox as eqx
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float
-from hshjax.brdfs._base import floating, in_dtype
+from hshjax.brdfs._base import in_dtype
 from hshjax.lighting._base import AbstractLighting, Incident, Points
 
 

@@ -41,20 +41,16 @@ def given(
     surface = jnp.any(normals != 0, axis=-1, keepdims=True)
 
     def flat(name, array):
-        if jnp.shape(array) not in (shape, (3,)):
-            raise ValueError(f"{name} must have shape (3,) or that of the normals, {shape}, got {jnp.shape(array)}")
+        array = jnp.asarray(array)
+        if array.shape not in (shape, (3,)):
+            raise ValueError(f"{name} must have shape (3,) or that of the normals, {shape}, got {array.shape}")
         # What is said of points without a surface counts nowhere, not even as the factor of a derivative.
         return jnp.where(surface, array, jnp.zeros_like(array)).reshape(-1, 3)
 
-    if positions is not None:
-        normals, positions = as_directions(normals, positions)
-        positions = flat("positions", positions)
+    known = [] if positions is None else [flat("positions", positions)]
     if isinstance(view, AbstractCamera):
-        view = view.view(positions.reshape(shape) if positions is not None and view.needs_positions else None)
-    if positions is None:
-        normals, view = as_directions(normals, view)
-    else:
-        normals, view, positions = as_directions(normals, view, positions)
+        view = view.view(known[0].reshape(shape) if known and view.needs_positions else None)
+    normals, view, *known = as_directions(normals, view, *known)
     view = normalized(view)
     eye = view if view.ndim == 1 else None
-    return Given(shape[:-1], eye, normalized(normals).reshape(-1, 3), flat("view", view), positions)
+    return Given(shape[:-1], eye, normalized(normals).reshape(-1, 3), flat("view", view), *(known or [None]))

@@ -69,7 +69,7 @@ def light_matrices(order: int, coefficients: Float[Array, "modes channels"]) -> 
         power, n = np.arange(parity, order + 1, 2)[None, :], np.sqrt(np.maximum(rows, 0)).astype(int)[:, None]
         there = (rows[:, None] >= 0) & (power <= n)
         table = 0
-        for sign in (1, -1) if order else (1,):
+        for sign in (1, -1):
             column = np.where(there, n * n + n + sign * power, 0)
             counts = there & ((power > 0) | (sign > 0))
             turn = np.where(counts, quarter_turn(order)[np.maximum(rows, 0)[:, None], column], 0)

@@ -62,20 +62,17 @@ def render(scene: Scene, *, chunk: int | None = None) -> Float[Array, "lights *p
         return reflect(scene.brdf, light, surface.normal, scene.camera, positions=surface.position, chunk=chunk)
 
     structure, *others = (jax.tree.structure(light) for light in scene.lights)
-    if all(other == structure for other in others):
-        leaves = list(zip(*map(jax.tree.leaves, scene.lights), strict=True))
-        if all(len({jnp.shape(x) for x in same}) == 1 for same in leaves):
-            # Lights of one kind are one program, run over and over. What they share, such as a horizon, is held once.
-            own = [any(x is not same[0] for x in same) for same in leaves]
+    leaves = list(zip(*(jax.tree.leaves(light) for light in scene.lights), strict=False))
+    if all(other == structure for other in others) and all(len({jnp.shape(x) for x in same}) == 1 for same in leaves):
+        # Lights of one kind are one program, run over and over. What they share, such as a horizon, is held once.
+        shared = [same[0] if all(x is same[0] for x in same) else None for same in leaves]
+        own = [jnp.stack(same) for same, one in zip(leaves, shared, strict=True) if one is None]
 
-            def of_own(values):
-                values = iter(values)
-                return image(
-                    structure.unflatten([next(values) if o else x[0] for o, x in zip(own, leaves, strict=True)])
-                )
+        def of_own(values):
+            values = iter(values)
+            return image(structure.unflatten([next(values) if one is None else one for one in shared]))
 
-            stacked = [jnp.stack(same) for same, o in zip(leaves, own, strict=True) if o]
-            return jax.lax.map(of_own, stacked) if stacked else jnp.stack([image(scene.lights[0])] * len(scene.lights))
+        return jax.lax.map(of_own, own) if own else jnp.stack([of_own(())] * len(scene.lights))
     images = [image(light) for light in scene.lights]
     channels = max(one.shape[-1] for one in images)
     return jnp.stack([jnp.broadcast_to(one, (*one.shape[:-1], channels)) for one in images])

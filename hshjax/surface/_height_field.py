@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Bool, Float
-from hshjax.brdfs._base import floating
 from hshjax.geometry import normalized
 from hshjax.surface._surface import Surface
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float, Int
-from hshjax.brdfs._base import floating
 from hshjax.camera import AbstractCamera
 from hshjax.geometry import common_dtype, dot, normalized
 from hshjax.surface._surface import Surface

@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.core import Tracer
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Float
-from hshjax.brdfs._base import floating
 from hshjax.camera import AbstractCamera
 from hshjax.geometry import dot
 from hshjax.surface._surface import Surface

@@ -3,8 +3,8 @@
 import equinox as eqx
 import jax.numpy as jnp
 
+from hshjax._fields import floating
 from hshjax._typing import Array, Bool, Float
-from hshjax.brdfs._base import floating
 
 
 class Surface(eqx.Module):

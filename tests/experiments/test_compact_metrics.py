@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from experiments.recipes._compact_metrics import (
-    Table,
+    cells,
     images,
     l2_error,
     largest_albedo,
@@ -47,13 +47,13 @@ def test_l2_error_is_an_integral():
             turned.append(folded(wi @ turn.T, wo @ turn.T))
         return sum(turned[1:], start=turned[0]) / 16
 
-    truth = table(isotropic)
+    truth, weight = table(isotropic), cells().weight
     rule = pair_rule(24)
     cosines = np.asarray(rule.weight * (rule.wi[:, 2] * rule.wo[:, 2]) ** 2)
     value = np.asarray(isotropic(rule.wi, rule.wo))[:, 0]
     expected = np.sqrt(np.sum(cosines * (value - 0.1) ** 2) / np.sum(cosines * value**2))
-    assert l2_error(truth, np.full_like(truth.value, 0.1)) == pytest.approx(expected, rel=0.02)
-    assert l2_error(Table(*truth), truth.value) == 0
+    assert l2_error(truth, np.full_like(truth, 0.1), weight) == pytest.approx(expected, rel=0.02)
+    assert l2_error(truth, truth, weight) == 0
 
 
 def test_albedo_of_what_is_known():
