@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Float, PairFunction
-from hshjax.bases import HalfVectorBasis, LogWarp
+from hshjax.bases import HalfVectorBasis, LogWarp, total_order
 from hshjax.brdfs._log_linear import LogLinearBRDF
-from hshjax.fitting._compact_equations import Problem, Trial
+from hshjax.fitting._compact_equations import Choice, Problem
 from hshjax.geometry import from_half_difference
 from hshjax.metrics import with_channels
 from hshjax.samples import Samples
@@ -20,14 +20,18 @@ from hshjax.samples import Samples
 ALPHAS = tuple(float(alpha) for alpha in np.logspace(-6, 0, 13))
 """Scales of the warp that are tried: half a decade apart, from lobes of 0.1 degrees to none."""
 
+HORIZON = float(np.radians(87))
+"""Where tables and measurements end as a rule, off the normal [radians]."""
+
 
 class CompactFit(eqx.Module):
     """What `fit_compact` has found.
 
     - `model`: a `LogLinearBRDF`; its `count` leaves out the scale α of the warp, and two bounds for each channel.
-    - `alphas`, `losses` `(alphas,)`: the scales that were tried, and the loss of each; the model is of the least.
-      The loss is Σ (Δ ln(1 + ρ z / dark))², weighted. At the end of the range a matte material wants no warp (the
-      largest α), or a highlight is sharper than what was tried (the smallest).
+    - `alphas`, `losses` `(alphas,)`: the scales that were tried, and the loss of each with the functions that lead in
+      `total_order`; the least and its neighbours are tried again with functions of the material's own. The loss is
+      Σ (Δ ln(1 + ρ z / dark))², weighted, over some of the samples. At the end of the range a matte material wants no
+      warp (the largest α), or a highlight is sharper than what was tried (the smallest).
     - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are. Of
       dark and matte materials that is an absolute error: `hshjax.relative_error` has the relative ones.
     - `samples`: how many have a weight. - `floored`: share of their values that lie below the floor, and count as it.
@@ -43,45 +47,55 @@ class CompactFit(eqx.Module):
     @property
     def alpha(self) -> float:
         """The scale of the model's warp."""
-        return self.alphas[int(np.argmin(self.losses))]
+        return float(self.model.basis.warp.alpha)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def half_vector_samples(
-    brdf: PairFunction, *, shape: tuple[int, int, int] = (60, 20, 8), largest: float = float(np.radians(80))
+    brdf: PairFunction,
+    *,
+    shape: tuple[int, int, int] = (92, 24, 6),
+    largest: float = float(np.radians(80)),
+    grazing: float = 0.05,
 ) -> Samples:
     """An isotropic BRDF on a grid that follows its highlight, reciprocal and bilateral.
 
-    Centres of equal cells in sqrt(θ_h), θ_d and φ_d over [0, π/2] each, `shape` of them, where both directions lie less
-    than `largest` [radians] from the normal. Each value is the mean over φ_d, -φ_d, π - φ_d and π + φ_d: what violates
-    reciprocity or mirror symmetry cancels. All weights are 1.
+    Centres of equal cells in sqrt(θ_h), θ_d and φ_d over [0, π/2] each, `shape` of them. Each value is the mean over
+    φ_d, -φ_d, π - φ_d and π + φ_d: what violates reciprocity or mirror symmetry cancels. The weight is 1 where both
+    directions lie less than `largest` [radians] from the normal; `grazing` beyond that, up to 87 degrees: little,
+    for measurements err most there, and yet enough to hold what is fitted. 0 leaves those out.
     """
     h, d, f = ((np.arange(size) + 0.5) / size * np.pi / 2 for size in shape)
     grid = [axis.ravel() for axis in np.meshgrid(h**2 * 2 / np.pi, d, f, indexing="ij")]
     wi, wo = from_half_difference(*map(jnp.asarray, grid))
-    seen = np.asarray((wi[:, 2] > np.cos(largest)) & (wo[:, 2] > np.cos(largest)))
+    lowest = np.asarray(jnp.minimum(wi[:, 2], wo[:, 2]))
+    weight = np.where(lowest > np.cos(largest), 1.0, np.where(lowest > np.cos(HORIZON), grazing, 0.0))
+    seen = weight > 0
     theta_h, theta_d, phi_d = (jnp.asarray(axis[seen]) for axis in grid)
     folded = [
         with_channels(jnp.asarray(brdf(*from_half_difference(theta_h, theta_d, phi))), 1)
         for phi in (phi_d, -phi_d, np.pi - phi_d, np.pi + phi_d)
     ]
-    return Samples.scattered(wi[seen], wo[seen], sum(folded[1:], start=folded[0]) / 4, isotropic=True)
+    return Samples.scattered(
+        wi[seen], wo[seen], sum(folded[1:], start=folded[0]) / 4, jnp.asarray(weight[seen]), isotropic=True
+    )
 
 
 def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **settings) -> CompactFit:
     """A positive reciprocal model of an isotropic material in so many coefficients, all channels together.
 
-    ln ρ is a series over `HalfVectorBasis`, in closed form for every scale α of its warp; the best one is kept. Weights
-    are such that differences count as |Δ ln(1 + ρ z / dark)|, to first order.
+    ln ρ is a series over `HalfVectorBasis`, in closed form for every scale α of its warp; the best one is kept, and of
+    twice as many functions those without which least squares would lose most. Weights are such that differences count
+    as |Δ ln(1 + ρ z / dark)|, to first order.
 
     **Arguments:**
 
-    - `data`: samples [sr^-1, no cosine], any channels; or a BRDF, which is sampled by `half_vector_samples`, up to 80
-      degrees from the normal unless you call it yourself.
-    - `coefficients`: how many in all, 25 to 300 as a rule; time grows with their square and more. Two thirds make the
-      shape, which channels share; the rest is colour.
+    - `data`: samples [sr^-1, no cosine], any channels; or a BRDF, which is sampled by `half_vector_samples`.
+    - `coefficients`: how many in all, 25 to 300 as a rule; time grows with their square and more. About two thirds make
+      the shape, which channels share; the rest is colour.
     - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
     - `dark`: z ρ [sr^-1] below which differences count less: 0.03. - `everywhere`: share of a flat weight: 0.1.
-    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4. - `ridge`: relative: 1e-7.
+    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4.
+    - `ridge`: 3e-6, relative to the diagonal of the normal equations.
     - `mixing` `(components, channels)`: see `LogLinearBRDF`; for spectra a few components do.
 
     Found on the host in float64, in blocks; not under `jax.jit`. `fit_compact_all` fits many materials.
@@ -104,7 +118,7 @@ def fit_compact_all(
     dark: float = 0.03,
     everywhere: float = 0.1,
     floor: float = 1e-4,
-    ridge: float = 1e-7,
+    ridge: float = 3e-6,
     mixing: Any = None,
 ) -> list[CompactFit]:
     """`fit_compact` of every material, all with samples at the same directions: functions are evaluated once for all.
@@ -118,10 +132,12 @@ def fit_compact_all(
         samples = [one if isinstance(one, Samples) else half_vector_samples(_callable(one)) for one in data]
         problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
         tried = problem.resolved(ALPHAS if alphas is None else alphas)
-        found = [problem.fits(alpha) for alpha in tried]
-    losses = np.array([[fit.loss for fit in one] for one in found])
-    best = np.argmin(losses, axis=0)
-    return [_result(problem, k, tried[least], found[least][k], tried, losses[:, k]) for k, least in enumerate(best)]
+        best, losses = problem.best(tried)
+        found: dict[int, Choice] = {}
+        for least in set(best.tolist()):
+            materials = np.flatnonzero(best == least).tolist()
+            found |= zip(materials, problem.choices(tried[least], materials), strict=True)
+    return [_result(problem, k, tried[best[k]], found[k], tried, losses[:, k]) for k in range(len(samples))]
 
 
 def _callable(data: Any) -> Any:
@@ -135,13 +151,12 @@ def _result(
     problem: Problem,
     material: int,
     alpha: float,
-    found: Trial,
+    found: Choice,
     alphas: tuple[float, ...],
     losses: Float[np.ndarray, " alphas"],
 ) -> CompactFit:
     """The model of one material at its α, in the default float of the caller."""
-    basis = HalfVectorBasis(problem.table, LogWarp(jnp.asarray(alpha)))
-    parts = [jnp.asarray(found.solution[:size, k]) for k, size in enumerate(problem.sizes)]
-    bounds = (jnp.asarray(bound[material]) for bound in (problem.low, problem.high))
-    model = LogLinearBRDF(basis, parts, jnp.asarray(problem.mixing), *bounds)
+    basis = HalfVectorBasis(total_order(problem.candidates[0]), LogWarp(jnp.asarray(alpha)))
+    parts = (found.coefficients, problem.mixing, problem.low[material], problem.high[material])
+    model = LogLinearBRDF(basis, *map(jnp.asarray, parts), terms=found.terms)
     return CompactFit(model, alphas, losses, found.log_error, problem.weight.size, float(problem.floored[material]))

@@ -1,8 +1,10 @@
 """The equations behind compact fits: many materials at the same directions, scale by scale. On the host, in float64."""
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -11,6 +13,7 @@ from hshjax.bases import HalfVectorBasis, IdentityWarp, LogWarp, total_order
 from hshjax.bases._half_vector import half_chart
 from hshjax.brdfs._log_linear import contrasts
 from hshjax.fitting._checks import check_samples
+from hshjax.fitting._eliminate import eliminate
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
 
@@ -20,12 +23,18 @@ MARGIN = 0.7
 ROWS = 2**14
 """Samples that are looked at together."""
 
+GLANCE = 3000
+"""Samples that tell one scale from another."""
 
-class Trial(eqx.Module):
-    """The coefficients of one material at one α, and what they cost."""
+SPARE = 10
+"""A function is chosen out of two, and of these more."""
 
-    solution: np.ndarray
-    loss: float
+
+class Choice(eqx.Module):
+    """The functions of one material at one α, their coefficients, and how far they are from the samples."""
+
+    terms: np.ndarray
+    coefficients: np.ndarray
     log_error: float
 
 
@@ -47,10 +56,13 @@ class Problem:
         self.wi, self.wo, self.weight = (np.asarray(a, np.float64)[used] for a in (first.wi, first.wo, first.weight))
         self.value = np.stack([np.asarray(one.value, np.float64)[used] for one in samples])
         self.mixing = contrasts(first.channels) if mixing is None else np.asarray(mixing, np.float64)
-        self.sizes = _sizes(coefficients, self.mixing.shape[0])
-        self.table = total_order(self.sizes[0])
+        self.coefficients = coefficients
+        self.leading = _sizes(coefficients, self.mixing.shape[0])
         self.dark, self.ridge = dark, ridge
-        self._check(coefficients, floor)
+        self._check(floor)
+        # Few samples do not tell which functions matter.
+        limit = self.weight.size // 3
+        self.candidates = tuple(max(size, min(2 * size + SPARE, limit)) for size in self.leading)
         self.floored = np.mean(self.value < floor, axis=(1, 2))
         self.value = np.maximum(self.value, floor)
         self.target = np.log(self.value)
@@ -63,16 +75,19 @@ class Problem:
         self.emphasis = (self.weight * (0.5 + 0.75 * np.sqrt(2 * theta_h / np.pi)))[:, None]
         seen = self.cosine * self.value
         self.importance = self.emphasis * ((seen / (dark + seen)) ** 2 + everywhere**2)
+        self.alike = self.importance.mean(axis=2, keepdims=True)
+        self.glance = np.sort(np.random.default_rng(0).permutation(self.weight.size)[:GLANCE])
 
-    def _check(self, coefficients: int, floor: float) -> None:
+    def _check(self, floor: float) -> None:
         if self.mixing.ndim != 2 or self.mixing.shape[1] != self.value.shape[2]:
             raise ValueError(f"mixing must have shape (components, {self.value.shape[2]}), got {self.mixing.shape}")
         for k, value in enumerate(self.value):
             if not np.any(value > floor):
                 raise ValueError(f"material {k} is black: no value is above the floor of {floor:g}")
-        if self.weight.size < self.sizes[0]:
+        if self.weight.size < self.leading[0]:
             raise ValueError(
-                f"{self.weight.size} samples do not determine {self.sizes[0]} functions of {coefficients} coefficients"
+                f"{self.weight.size} samples do not determine {self.leading[0]} functions "
+                f"of {self.coefficients} coefficients"
             )
 
     def resolved(self, alphas: Sequence[float]) -> tuple[float, ...]:
@@ -82,44 +97,69 @@ class Problem:
             raise ValueError(f"scales are positive, at least one, got {tried}")
         return tuple(alpha for alpha in tried if alpha >= 0.1 * self.o.min()) or (max(tried),)
 
-    def fits(self, alpha: float) -> list[Trial]:
-        """Every material at one scale."""
-        basis = HalfVectorBasis(self.table, LogWarp(jnp.asarray(alpha)))
-        blocks = self._blocks(basis)
-        equations = [_Equations(self.mixing, self.sizes) for _ in self.value]
-        for part, rows in blocks():
-            for one, importance, target in zip(equations, self.importance, self.target, strict=True):
-                one.add(rows, importance[part], target[part])
-        solutions = [one.solution(self.ridge) for one in equations]
-        sums = np.zeros((len(solutions), 2))
-        for part, rows in blocks():
-            for k, solution in enumerate(solutions):
-                sums[k] += self._misfit(k, part, rows @ solution)
-        sums[:, 1] /= 2 * self.weight.sum() * self.value.shape[2]
-        return [Trial(*one) for one in zip(solutions, *sums.T.tolist(), strict=True)]
+    def best(self, alphas: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """The number of the best scale of every material, and the losses `(alphas, materials)` of leading functions.
 
-    def _blocks(self, basis: HalfVectorBasis) -> Callable[[], Iterator[tuple[slice, np.ndarray]]]:
-        """Parts of the samples with their design rows, as often as asked for; kept where there is one part only."""
-        parts = [slice(start, start + ROWS) for start in range(0, self.weight.size, ROWS)]
+        The best of those, and its neighbours, are tried again with functions of each material's own.
+        """
+        everyone = list(range(len(self.value)))
+        losses = np.stack([self._losses(alpha, self.leading, everyone) for alpha in alphas])
+        first, again = np.argmin(losses, axis=0), np.full_like(losses, np.inf)
+        for k, alpha in enumerate(alphas):
+            near = np.flatnonzero(np.abs(first - k) <= 1).tolist()
+            again[k, near] = self._losses(alpha, self.candidates, near)
+        return np.argmin(again, axis=0), losses
+
+    def _losses(self, alpha: float, sizes: tuple[int, ...], materials: list[int]) -> np.ndarray:
+        """Σ (Δ ln(1 + ρ z / dark))², weighted, at one scale and at a glance: all channels share their weights."""
+        blocks = self._blocks(alpha, sizes, self.glance)
+        sums = np.zeros(len(materials))
+        for place, (k, equations) in enumerate(self._equations(materials, sizes, self.alike, blocks)):
+            columns = equations.columns(*equations.solution(self.coefficients, self.ridge))
+            for part, rows in blocks():
+                value, fitted, cosine = self.value[k, part], self._fitted(k, columns, rows), self.cosine[part]
+                difference = np.log((self.dark + cosine * fitted) / (self.dark + cosine * value))
+                sums[place] += np.sum(self.emphasis[part] * difference**2)
+        return sums
+
+    def choices(self, alpha: float, materials: Sequence[int]) -> list[Choice]:
+        """Some materials at one scale, each with functions of its own."""
+        blocks = self._blocks(alpha, self.candidates, np.arange(self.weight.size))
+        found = []
+        for k, equations in self._equations(materials, self.candidates, self.importance, blocks):
+            terms, coefficients = equations.solution(self.coefficients, self.ridge)
+            columns, error = equations.columns(terms, coefficients), 0.0
+            for part, rows in blocks():
+                value, fitted = self.value[k, part], self._fitted(k, columns, rows)
+                for z in (self.wi[part, 2:], self.wo[part, 2:]):
+                    error += np.sum(self.weight[part, None] * np.abs(np.log1p(z * fitted) - np.log1p(z * value)))
+            mean = float(error / (2 * self.weight.sum() * self.value.shape[2]))
+            found.append(Choice(terms, coefficients, mean))
+        return found
+
+    def _fitted(self, material: int, columns: np.ndarray, rows: Array) -> np.ndarray:
+        logarithm = np.asarray(rows).T @ (columns @ self.mixing)
+        return np.exp(np.clip(logarithm, self.low[material], self.high[material]))
+
+    def _equations(self, materials, sizes, weight: np.ndarray, blocks) -> Iterator[tuple[int, "_Equations"]]:
+        found = {k: _Equations(self.mixing, sizes) for k in materials}
+        for part, rows in blocks():
+            for k, one in found.items():
+                one.add(rows, weight[k, part], self.target[k, part])
+        yield from found.items()
+
+    def _blocks(self, alpha, sizes, samples: np.ndarray) -> Callable[[], Iterator[tuple[np.ndarray, Array]]]:
+        """Parts of the samples with functions `(functions, samples)`, as often as asked for; a single part is kept."""
+        basis = HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(alpha)))
+        parts = [samples[start : start + ROWS] for start in range(0, samples.size, ROWS)]
 
         def rows(part):
-            return np.asarray(basis(jnp.asarray(self.wi[part]), jnp.asarray(self.wo[part])))
+            return basis(jnp.asarray(self.wi[part]), jnp.asarray(self.wo[part])).T
 
         if len(parts) == 1:
             kept = [(parts[0], rows(parts[0]))]
             return lambda: iter(kept)
         return lambda: ((part, rows(part)) for part in parts)
-
-    def _misfit(self, material: int, part: slice, components: np.ndarray) -> tuple[float, float]:
-        """The loss, and the sum of |Δ ln(1 + ρ z)|."""
-        logarithm = np.clip(components @ self.mixing, self.low[material], self.high[material])
-        value, fitted = self.value[material, part], np.exp(logarithm)
-        cosine = self.cosine[part]
-        loss = np.sum(self.emphasis[part] * np.log((self.dark + cosine * fitted) / (self.dark + cosine * value)) ** 2)
-        error = 0.0
-        for z in (self.wi[part, 2:], self.wo[part, 2:]):
-            error += np.sum(self.weight[part, None] * np.abs(np.log1p(z * fitted) - np.log1p(z * value)))
-        return float(loss), float(error)
 
 
 def _sizes(coefficients: int, components: int) -> tuple[int, ...]:
@@ -133,31 +173,39 @@ def _sizes(coefficients: int, components: int) -> tuple[int, ...]:
 
 
 class _Equations:
-    """Weighted normal equations of all components at once; each channel has its own weights."""
+    """Weighted normal equations of all components at once; each channel has its own weights, or all have the same."""
 
     def __init__(self, mixing: np.ndarray, sizes: tuple[int, ...]):
         self.mixing, self.sizes = mixing, sizes
-        self.gram = np.zeros((mixing.shape[1], sizes[0], sizes[0]))
-        self.moment = np.zeros((mixing.shape[1], sizes[0]))
+        self.gram: Any = 0.0
+        self.moment: Any = 0.0
+        self.terms = np.concatenate([np.stack([np.arange(n), np.full(n, j)], 1) for j, n in enumerate(sizes)])
 
-    def add(self, rows: Array | np.ndarray, weight: np.ndarray, target: np.ndarray) -> None:
-        for k, root in enumerate(np.sqrt(weight).T):
-            weighted = root[:, None] * rows
-            self.gram[k] += weighted.T @ weighted
-            self.moment[k] += weighted.T @ (root * target[:, k])
+    def add(self, rows: Array, weight: np.ndarray, target: np.ndarray) -> None:
+        self.gram = self.gram + np.asarray(_gram(rows, jnp.asarray(weight.T)))
+        self.moment = self.moment + (np.asarray(rows) @ (weight * target)).T
 
-    def solution(self, ridge: float) -> np.ndarray:
-        """Coefficients `(modes, components)`, 0 where a component has none; the ridge is relative to the diagonal."""
+    def solution(self, count: int, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+        """The `count` terms (function, component) that matter most, and their coefficients."""
+        products = self.mixing[:, None] * self.mixing[None]
+        if len(self.gram) == 1:
+            products = products.sum(axis=2, keepdims=True)
         matrix = np.block([
-            [np.tensordot(a * b, self.gram[:, :m, :n], 1) for b, n in zip(self.mixing, self.sizes, strict=True)]
-            for a, m in zip(self.mixing, self.sizes, strict=True)
+            [np.tensordot(products[i, j], self.gram[:, :m, :n], 1) for j, n in enumerate(self.sizes)]
+            for i, m in enumerate(self.sizes)
         ])  # fmt: skip
-        moment = np.concatenate([a @ self.moment[:, :m] for a, m in zip(self.mixing, self.sizes, strict=True)])
-        scale = np.sqrt(np.diag(matrix))
-        scale[scale == 0] = 1
-        matrix = matrix / np.outer(scale, scale) + ridge * np.eye(scale.size)
-        found = np.linalg.solve(matrix, moment / scale) / scale
-        ends = np.cumsum(self.sizes)
-        return np.stack(
-            [np.pad(found[end - n : end], (0, self.sizes[0] - n)) for n, end in zip(self.sizes, ends, strict=True)], 1
-        )
+        moment = np.concatenate([(a @ self.moment)[:n] for a, n in zip(self.mixing, self.sizes, strict=True)])
+        kept, coefficients = eliminate(matrix, moment, count, ridge=ridge)
+        return self.terms[kept], coefficients
+
+    def columns(self, terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients `(functions, components)`, 0 where there is no term."""
+        found = np.zeros((self.sizes[0], len(self.sizes)))
+        found[terms[:, 0], terms[:, 1]] = coefficients
+        return found
+
+
+@jax.jit
+def _gram(rows: Array, weight: Array) -> Array:
+    """Σ_s w_s B_as B_bs for the weights of each channel, `(weights, functions, functions)`, one after the other."""
+    return jax.lax.map(lambda one: (rows * one[None]) @ rows.T, weight)

@@ -1,6 +1,6 @@
 """BRDFs whose logarithm is a series: positive, reciprocal, bounded, of any channels."""
 
-import jax
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -53,9 +53,21 @@ def test_bounds_hold_and_are_no_parameters():
     value = brdf(wi, wo)
     assert float(value.min()) == pytest.approx(0.1, rel=1e-5)
     assert float(value.max()) == pytest.approx(2.0, rel=1e-5)
-    gradient = jax.grad(lambda brdf: jnp.sum(brdf(wi, wo)))(brdf)
+    gradient = eqx.filter_grad(lambda brdf: jnp.sum(brdf(wi, wo)))(brdf)
     assert gradient.low == gradient.high == 0
-    assert np.any(gradient.coefficients[0] != 0)
+    assert np.any(gradient.coefficients != 0)
+
+
+def test_terms_are_functions_of_components():
+    """In any order; the others are 0."""
+    wi, wo = directions(0, 6), directions(1, 6)
+    dense = np.zeros((12, 3))
+    terms = np.array([[7, 2], [0, 0], [3, 0], [11, 1]])
+    dense[terms[:, 0], terms[:, 1]] = [0.1, -0.2, 0.3, 0.4]
+    brdf = LogLinearBRDF(BASIS, jnp.asarray([0.1, -0.2, 0.3, 0.4], DTYPE), terms=terms)
+    assert (brdf.count, brdf.channels) == (4, 3)
+    assert_close(brdf.matrix, dense)
+    assert_close(brdf(wi, wo), LogLinearBRDF(BASIS, list(jnp.asarray(dense.T, DTYPE)))(wi, wo))
 
 
 def test_spectra_of_few_components():
@@ -76,13 +88,27 @@ def test_saved_and_loaded(tmp_path):
     ("arguments", "message"),
     [
         ((TensorBasis(HSH(1)), [np.ones(3)]), "needs a reciprocal basis"),
-        ((BASIS, [np.ones(13)]), r"at most 12,\), got \(13,\)"),
-        ((BASIS, [np.ones((2, 2))]), r"got \(2, 2\)"),
-        ((BASIS, [np.ones(3)], np.ones((2, 3))), r"shape \(1, channels\), a row for each component, got \(2, 3\)"),
+        ((BASIS, [np.ones(13)]), r"of 12 functions and 1 components, got numbers up to \[12, 0\]"),
+        ((BASIS, [np.ones(3)] * 3, np.ones((2, 3))), r"2 components, got numbers up to \[2, 2\]"),
+        ((BASIS, [np.ones((2, 2))]), r"got shapes \[\(2, 2\)\]"),
+        ((BASIS, [np.ones(3)], np.ones(3)), r"shape \(components, channels\), got \(3,\)"),
         ((BASIS, [np.ones(3)], None, np.ones(2)), r"low must have shape \(1,\), got \(2,\)"),
-        ((BASIS, []), "at least one channel, got 0"),
+        ((BASIS, []), r"for each component, got shapes \[\]"),
     ],
 )
 def test_refusals(arguments, message, unchecked):
     with pytest.raises(ValueError, match=message):
         LogLinearBRDF(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "terms", "message"),
+    [
+        (np.ones(2), [[0, 0], [0, 0]], "stands twice"),
+        (np.ones(2), [[0, 0], [-1, 0]], "got numbers up to"),
+        (np.ones(2), [[0, 0]], r"\(terms, 2\), got \(2,\) and \(1, 2\)"),
+    ],
+)
+def test_terms_that_are_none(coefficients, terms, message, unchecked):
+    with pytest.raises(ValueError, match=message):
+        LogLinearBRDF(BASIS, coefficients, terms=terms)
