@@ -43,14 +43,18 @@ def info(file: File) -> None:
 def fit(
     file: File,
     model: Annotated[
-        Literal["linear", "exp", "cook-torrance", "ggx"],
+        Literal["linear", "compact", "exp", "cook-torrance", "ggx"],
         typer.Option(
-            help="linear: a series in the basis, in closed form. exp: the exponential of one, which is positive. "
+            help="linear: a series in the basis, in closed form. compact: a positive one in the half vector, in closed "
+            "form, for highlights too. exp: the exponential of a series in the basis, which is positive. "
             "cook-torrance, ggx: that lobe and a diffuse part, from many starts."
         ),
     ] = "linear",
     basis: Annotated[Literal["hsh", "zernike", "shr"], typer.Option(help="Family of the basis.")] = "hsh",
     order: Annotated[int, typer.Option(min=0, help="Order of the basis.")] = 8,
+    coefficients: Annotated[
+        int, typer.Option(min=3, help="Of a compact model, all channels together; basis and order do not matter to it.")
+    ] = 150,
     norm: Annotated[
         Literal["A", "B", "C", "D", "E"],
         typer.Option(
@@ -110,6 +114,8 @@ def fit(
             samples = Samples.from_function(brdf, rule)
         if model == "linear":
             fitted, facts = _linear(pairs, samples, norm, ridge, valid)
+        elif model == "compact":
+            fitted, facts = _compact(brdf, coefficients)
         elif model == "exp":
             fitted, facts = _exponential(pairs, samples, ridge, max_steps)
         else:
@@ -157,6 +163,21 @@ def _linear(pairs, samples, norm: str, ridge: float, valid: bool) -> tuple[Any, 
         if error is not None:
             facts[f"violation of reciprocity, {name}"] = f"{float(error.relative):.3g} ({error.pairs} pairs)"
     return result.model, facts
+
+
+def _compact(brdf, coefficients: int) -> tuple[Any, dict[str, str]]:
+    from hshjax.fitting import fit_compact
+    from hshjax.metrics import reciprocity_error
+
+    with complaints.status("fitting"):
+        result = fit_compact(brdf, coefficients)
+    facts = {
+        "fitted to": f"{result.samples} samples that follow the highlight",
+        "log error": f"{1e3 * result.log_error:.3g} / 1000, mean |Δ ln(1 + ρ cos θ)| over them",
+        "violation of reciprocity, measured": f"{float(reciprocity_error(brdf).relative):.3g}; fitted: 0",
+        "below the floor": f"{result.floored:.2%} of their values",
+    }
+    return result.model, _series(result.model) | facts
 
 
 def _exponential(pairs, samples, ridge: float, max_steps: int) -> tuple[Any, dict[str, str]]:
@@ -239,7 +260,7 @@ def _display(max_steps: int) -> Iterator[Callable[[str], Callable[[Any, Any], No
 
 def _read(file: Path) -> tuple:
     """The BRDF of a measured file or a saved model, and what to say of it; exits with a message where it cannot."""
-    from hshjax.brdfs import AbstractBRDF, AbstractPositiveBRDF, LinearBRDF, RGLTable
+    from hshjax.brdfs import AbstractBRDF, AbstractPositiveBRDF, LinearBRDF, LogLinearBRDF, RGLTable
     from hshjax.io import load_model, read_rgl
 
     try:
@@ -255,11 +276,25 @@ def _read(file: Path) -> tuple:
     facts = {"kind": type(brdf).__name__}
     if isinstance(brdf, RGLTable):
         facts |= {"material": brdf.description, "channels": ", ".join(brdf.channel_names)}
+    if isinstance(brdf, LogLinearBRDF):
+        facts |= _series(brdf)
     if isinstance(brdf, LinearBRDF | AbstractPositiveBRDF):
         facts |= {"basis": str(brdf.basis), "coefficients": " x ".join(map(str, brdf.coefficients.shape))}
     if isinstance(brdf, LinearBRDF):
         facts["the series stands for"] = brdf.target
     return brdf, facts
+
+
+def _series(brdf) -> dict[str, str]:
+    """What there is to say of a `LogLinearBRDF`."""
+    from hshjax.bases import HalfVectorBasis
+    from hshjax.bases._warp import AbstractScaledWarp
+
+    parts = [str(int((brdf.terms[:, 1] == j).sum())) for j in range(brdf.mixing.shape[0])]
+    facts = {"coefficients": f"{brdf.count}: {' + '.join(parts)}, of {brdf.basis.count} functions each"}
+    if isinstance(brdf.basis, HalfVectorBasis) and isinstance(brdf.basis.warp, AbstractScaledWarp):
+        facts["scale of the warp"] = f"{float(brdf.basis.warp.alpha):.3g} ({type(brdf.basis.warp).__name__})"
+    return facts
 
 
 def _exit(message: str) -> Exception:

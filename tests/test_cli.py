@@ -10,7 +10,7 @@ from hshjax.fitting import project
 from hshjax.io import load_model, save_model
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
-from tests.helpers import slow_unless
+from tests.helpers import X64, slow_unless
 
 
 def run(*arguments):
@@ -57,6 +57,19 @@ def test_other_models_are_fitted_step_by_step(model, tmp_path, kind, what):
     assert fitted.exit_code == 0, fitted.output + fitted.stderr
     assert "converged" in fitted.output
     assert isinstance(load_model(out), what)
+
+
+@pytest.mark.skipif(not X64, reason="the command computes in float64")
+def test_a_compact_model_is_fitted_and_described(model, tmp_path):
+    out = tmp_path / "compact.hshjax"
+    fitted = run("fit", model, "--model", "compact", "--coefficients", 12, "--degree", 8, "--out", out)
+    assert fitted.exit_code == 0, fitted.output + fitted.stderr
+    assert load_model(out).count == 12
+    described = run("info", out)
+    for shown in (fitted.output, described.output):
+        assert "12: 12, of 34 functions each" in shown
+        assert "(LogWarp)" in shown
+    assert "log error" in fitted.output
 
 
 @pytest.mark.slow
