@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import block_diag
@@ -19,10 +21,12 @@ from hshjax import (
     half_vector,
     half_vector_samples,
     plotting,
-    reflect,
     sphere,
 )
+from hshjax._typing import Array
+from hshjax.geometry import frame
 from hshjax.io import read_exr
+from hshjax.lighting import AbstractLighting, Points
 
 SHAPE = (90, 30, 12)
 """Cells of the table in sqrt(θ_h), θ_d, φ_d."""
@@ -31,6 +35,9 @@ LARGEST = float(np.radians(80))
 LAMPS = (((0.55, 0.55, 0.63), 2.0), ((-0.9, 0.3, 0.32), 1.2), ((0.2, -0.75, 0.63), 0.8))
 CEILING = 80.0
 """Of a peak signal-to-noise ratio [dB]."""
+
+PAIRS = 2**15
+"""Of directions that are looked at together."""
 
 
 class Cells(NamedTuple):
@@ -41,19 +48,33 @@ class Cells(NamedTuple):
     weight: np.ndarray
 
 
-def positive(brdf: Callable) -> Callable:
+class Positive(eqx.Module):
     """max(ρ, 0): measured values and networks may lie below."""
-    return lambda wi, wo: jnp.maximum(brdf(wi, wo), 0)
+
+    brdf: Callable
+
+    def __call__(self, wi, wo):
+        return jnp.maximum(self.brdf(wi, wo), 0)
+
+
+class Folded(eqx.Module):
+    """The mean over the swap of directions and the mirror image: the nearest BRDF that is reciprocal and bilateral."""
+
+    brdf: Callable
+
+    def __call__(self, wi, wo):
+        mi, mo = (w.at[..., 1].multiply(-1) for w in (wi, wo))
+        return (self.brdf(wi, wo) + self.brdf(wo, wi) + self.brdf(mi, mo) + self.brdf(mo, mi)) / 4
 
 
 def table(brdf: Callable) -> np.ndarray:
     """What a material is in the cells, reciprocal and bilateral, `(n, channels)`."""
-    return np.asarray(half_vector_samples(positive(brdf), shape=SHAPE, largest=LARGEST).value)
+    return np.asarray(half_vector_samples(Positive(brdf), shape=SHAPE, largest=LARGEST, grazing=0.0).value)
 
 
 def cells() -> Cells:
     """The cells of every table."""
-    samples = half_vector_samples(lambda wi, wo: wi[:, 2], shape=SHAPE, largest=LARGEST)
+    samples = half_vector_samples(lambda wi, wo: wi[:, 2], shape=SHAPE, largest=LARGEST, grazing=0.0)
     wi, wo = np.asarray(samples.wi), np.asarray(samples.wo)
     theta_h = np.asarray(angles(half_vector(samples.wi, samples.wo))[0])
     cos_d = np.linalg.norm(wi + wo, axis=1) / 2
@@ -74,19 +95,25 @@ def l2_error(value: np.ndarray, fitted: np.ndarray, weight: np.ndarray) -> float
 
 
 class Picture(NamedTuple):
-    """Normals `(pixels, 3)` that are seen from +z under up to 80 degrees, and a light."""
+    """Pairs of directions `(n, 3)`, pixel after pixel, that light what is seen of a sphere from +z.
 
-    normals: np.ndarray
-    light: Any
+    Both below 80 degrees: what is known of a material. `irradiance` `(n, channels)` has the cosine in it; `pixel`
+    `(n,)` is increasing.
+    """
+
+    wi: np.ndarray
+    wo: np.ndarray
+    irradiance: np.ndarray
+    pixel: np.ndarray
 
 
 def pictures(environments: Sequence[Path], size: int = 128) -> list[Picture]:
     """Three lamps on `size` pixels, and each environment, averaged over boxes to 64 x 32 pixels, on half as many."""
     lamps = [DirectionalLight(jnp.asarray(towards), jnp.asarray(power)) for towards, power in LAMPS]
-    found = [Picture(_ball(size), lamps[0] + lamps[1] + lamps[2])]
+    found = [_picture(_ball(size), lamps[0] + lamps[1] + lamps[2])]
     for path in environments:
         boxes = square_blocks(np.asarray(read_exr(path), float), 32).mean((1, 3))
-        found.append(Picture(_ball(size // 2), EnvironmentMap(jnp.asarray(boxes), up="y")))
+        found.append(_picture(_ball(size // 2), EnvironmentMap(jnp.asarray(boxes), up="y")))
     return found
 
 
@@ -96,17 +123,51 @@ def _ball(size: int) -> np.ndarray:
     return normals[normals[:, 2] >= np.cos(LARGEST)]
 
 
+def _picture(normals: np.ndarray, light: AbstractLighting) -> Picture:
+    anywhere = Points(jnp.eye(3)[None], None, jnp.zeros(1, jnp.int32), (1,))
+    direction, irradiance = (np.asarray(part)[0] for part in jax.tree.leaves(light.incident(anywhere)))
+    frames = np.asarray(frame(jnp.asarray(normals)))
+    wi, wo, power, count = [], [], [], []
+    for turn in frames:
+        local = direction @ turn.T
+        lit = local[:, 2] > np.cos(LARGEST)
+        wi.append(local[lit])
+        wo.append(np.broadcast_to(turn[:, 2], wi[-1].shape))
+        power.append(np.broadcast_to(irradiance, direction.shape)[lit] * local[lit, 2:])
+        count.append(np.count_nonzero(lit))
+    parts = (np.concatenate(part).astype(np.float32) for part in (wi, wo, power))
+    return Picture(*parts, np.repeat(np.arange(len(normals)), count))
+
+
 def images(brdf: Callable, pictures: list[Picture]) -> list[np.ndarray]:
     """Radiance `(pixels, channels)` of each picture; of several materials together, each is lit in its own channels."""
-    eye = jnp.asarray([0.0, 0, 1])
-    channels = brdf(eye, eye).shape[-1]
     found = []
     for one in pictures:
-        light = one.light
-        if isinstance(light, EnvironmentMap):
-            light = EnvironmentMap(jnp.tile(light.radiance, channels // light.radiance.shape[-1]), up=light.up)
-        found.append(np.asarray(reflect(brdf, light, jnp.asarray(one.normals), eye)))
+        radiance: Any = 0
+        for start in range(0, len(one.pixel), PAIRS):
+            part = slice(start, start + PAIRS)
+            value = evaluated(brdf, one.wi[part], one.wo[part])
+            lit = value.reshape(len(value), -1, one.irradiance.shape[1]) * one.irradiance[part, None]
+            pixel = one.pixel[part]
+            first = np.flatnonzero(np.diff(pixel, prepend=-1))
+            radiance = radiance + np.zeros((one.pixel[-1] + 1, value.shape[1]))
+            radiance[pixel[first]] += np.add.reduceat(lit.reshape(value.shape), first, axis=0)
+        found.append(radiance)
     return found
+
+
+def evaluated(brdf: Callable, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    """ρ of any number of pairs, in blocks of one size: it is compiled once."""
+    parts = []
+    for start in range(0, len(wi), PAIRS):
+        block = (jnp.asarray(np.resize(w[start : start + PAIRS], (PAIRS, 3))) for w in (wi, wo))
+        parts.append(np.asarray(_call(brdf, *block))[: len(wi) - start])
+    return np.concatenate(parts)
+
+
+@eqx.filter_jit
+def _call(brdf: Callable, wi: Array, wo: Array) -> Array:
+    return brdf(wi, wo)
 
 
 def psnr(truth: list[np.ndarray], fitted: list[np.ndarray]) -> float:
@@ -132,7 +193,7 @@ def largest_albedo(brdf: Callable, polar: Sequence[float] = tuple(np.radians([0,
         facing = h @ wo
         wi = 2 * facing[..., None] * h - wo
         seen = (facing > 0) & (wi[..., 2] > 0)
-        value = np.asarray(brdf(jnp.asarray(wi[seen]), jnp.broadcast_to(jnp.asarray(wo), wi[seen].shape)))
+        value = evaluated(brdf, wi[seen], np.broadcast_to(wo, wi[seen].shape))
         largest.append((measure * 4 * facing * wi[..., 2])[seen] @ value)
     return np.max(largest, axis=0)
 
@@ -142,7 +203,7 @@ def together(models: Sequence[LogLinearBRDF]) -> LogLinearBRDF:
     first = models[0]
     return LogLinearBRDF(
         first.basis,
-        [part for model in models for part in model.coefficients],
+        list(jnp.concatenate([model.matrix for model in models], axis=1).T),
         jnp.asarray(block_diag(*(np.asarray(model.mixing) for model in models))),
         jnp.concatenate([model.low for model in models]),
         jnp.concatenate([model.high for model in models]),

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 from experiments.recipes._compact_metrics import (
+    LAMPS,
+    Folded,
     cells,
     images,
     l2_error,
@@ -15,7 +17,16 @@ from experiments.recipes._compact_metrics import (
     table,
     together,
 )
-from hshjax import GGX, HalfVectorBasis, Lambert, LogLinearBRDF, LogWarp, pair_rule
+from hshjax import (
+    GGX,
+    HalfVectorBasis,
+    Lambert,
+    LogLinearBRDF,
+    LogWarp,
+    OrthographicCamera,
+    pair_rule,
+    sphere,
+)
 from tests.helpers import X64, directions
 
 pytestmark = pytest.mark.skipif(not X64, reason="studies run in float64")
@@ -71,6 +82,39 @@ def test_models_together_are_what_they_are_alone():
     wi, wo = directions(0, 30), directions(1, 30)
     expected = np.concatenate([model(wi, wo) for model in models], axis=1)
     np.testing.assert_allclose(together(models)(wi, wo), expected, rtol=1e-12)
+
+
+def test_a_lambertian_sphere_under_lamps():
+    """Radiance by hand: ρ times irradiance, without what comes from below 80 degrees; the ball in a row of pixels."""
+    picture = pictures([], 16)[0]
+    shown = images(Lambert([0.5, 0.3, 0.1]), [picture])[0]
+    camera = OrthographicCamera(jnp.asarray([0.0, 0, 1]), jnp.asarray([0.0, 1, 0]), resolution=(16, 16))
+    normals = np.asarray(sphere(camera).normal).reshape(-1, 3)
+    normals = normals[normals[:, 2] >= np.cos(np.radians(80))]
+    expected = np.zeros(len(normals))
+    for towards, power in LAMPS:
+        cosine = normals @ np.asarray(towards) / np.linalg.norm(towards)
+        expected += power * np.where(cosine > np.cos(np.radians(80)), cosine, 0)
+    np.testing.assert_allclose(shown, np.outer(expected, [0.5, 0.3, 0.1]) / np.pi, rtol=1e-5, atol=1e-6)
+
+
+def test_blocks_of_pairs_change_nothing(monkeypatch):
+    picture, brdf = pictures([], 16), GGX([0.9, 0.5], 0.3)
+    lamps = [picture[0]._replace(irradiance=picture[0].irradiance[:, :1])]
+    whole = images(brdf, lamps)
+    monkeypatch.setattr("experiments.recipes._compact_metrics.PAIRS", 100)
+    np.testing.assert_allclose(images(brdf, lamps)[0], whole[0], rtol=1e-5)
+
+
+def test_what_is_folded_is_reciprocal_and_bilateral():
+    def crooked(wi, wo):
+        return (2 + wi[:, 2:]) * jnp.exp(wi[:, :1] * wo[:, 1:2] - wi[:, 1:2] * wo[:, :1])
+
+    wi, wo, mirror = directions(0, 9), directions(1, 9), jnp.asarray([[1.0, -1, 1]])
+    found = Folded(crooked)(wi, wo)
+    np.testing.assert_allclose(found, Folded(crooked)(wo, wi), rtol=1e-12)
+    np.testing.assert_allclose(found, Folded(crooked)(wi * mirror, wo * mirror), rtol=1e-12)
+    assert np.max(np.abs(found / crooked(wi, wo) - 1)) > 0.1
 
 
 def test_pictures_of_the_same_are_the_same():
