@@ -175,6 +175,7 @@ def _compact(brdf, coefficients: int) -> tuple[Any, dict[str, str]]:
         "fitted to": f"{result.samples} samples that follow the highlight",
         "log error": f"{1e3 * result.log_error:.3g} / 1000, mean |Δ ln(1 + ρ cos θ)| over them",
         "violation of reciprocity, measured": f"{float(reciprocity_error(brdf).relative):.3g}; fitted: 0",
+        "largest albedo": f"{result.albedo:.4f}, up to 80 degrees",
         "below the floor": f"{result.floored:.2%} of their values",
     }
     return result.model, _series(result.model) | facts

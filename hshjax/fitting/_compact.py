@@ -20,7 +20,7 @@ from hshjax.samples import Samples
 ALPHAS = tuple(float(alpha) for alpha in np.logspace(-6, 0, 13))
 """Scales of the warp that are tried: half a decade apart, from lobes of 0.1 degrees to none."""
 
-HORIZON = float(np.radians(87))
+HORIZON = float(np.radians(89.5))
 """Where tables and measurements end as a rule, off the normal [radians]."""
 
 
@@ -34,6 +34,7 @@ class CompactFit(eqx.Module):
       warp (the largest α), or a highlight is sharper than what was tried (the smallest).
     - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are. Of
       dark and matte materials that is an absolute error: `hshjax.relative_error` has the relative ones.
+    - `albedo`: the largest directional one, of any channel, up to 80 degrees.
     - `samples`: how many have a weight. - `floored`: share of their values that lie below the floor, and count as it.
     """
 
@@ -41,6 +42,7 @@ class CompactFit(eqx.Module):
     alphas: tuple[float, ...] = eqx.field(static=True)
     losses: Float[np.ndarray, " alphas"]
     log_error: float
+    albedo: float
     samples: int = eqx.field(static=True)
     floored: float
 
@@ -61,7 +63,7 @@ def half_vector_samples(
 
     Centres of equal cells in sqrt(θ_h), θ_d and φ_d over [0, π/2] each, `shape` of them. Each value is the mean over
     φ_d, -φ_d, π - φ_d and π + φ_d: what violates reciprocity or mirror symmetry cancels. The weight is 1 where both
-    directions lie less than `largest` [radians] from the normal; `grazing` beyond that, up to 87 degrees: little,
+    directions lie less than `largest` [radians] from the normal; `grazing` beyond that, up to 89.5 degrees: little,
     for measurements err most there, and yet enough to hold what is fitted. 0 leaves those out.
     """
     h, d, f = ((np.arange(size) + 0.5) / size * np.pi / 2 for size in shape)
@@ -96,6 +98,8 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     - `dark`: z ρ [sr^-1] below which differences count less: 0.03. - `everywhere`: share of a flat weight: 0.1.
     - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4.
     - `ridge`: 3e-6, relative to the diagonal of the normal equations.
+    - `energy`: whether to keep the directional albedo at most 1, at eight angles up to 80 degrees. True: least squares
+      under that constraint; a material that conserves energy is not touched.
     - `mixing` `(components, channels)`: see `LogLinearBRDF`; for spectra a few components do.
 
     Found on the host in float64, in blocks; not under `jax.jit`. `fit_compact_all` fits many materials.
@@ -120,6 +124,7 @@ def fit_compact_all(
     floor: float = 1e-4,
     ridge: float = 3e-6,
     mixing: Any = None,
+    energy: bool = True,
 ) -> list[CompactFit]:
     """`fit_compact` of every material, all with samples at the same directions: functions are evaluated once for all.
 
@@ -136,7 +141,7 @@ def fit_compact_all(
         found: dict[int, Choice] = {}
         for least in set(best.tolist()):
             materials = np.flatnonzero(best == least).tolist()
-            found |= zip(materials, problem.choices(tried[least], materials), strict=True)
+            found |= zip(materials, problem.choices(tried[least], materials, energy=energy), strict=True)
     return [_result(problem, k, tried[best[k]], found[k], tried, losses[:, k]) for k in range(len(samples))]
 
 
@@ -159,4 +164,5 @@ def _result(
     basis = HalfVectorBasis(total_order(problem.candidates[0]), LogWarp(jnp.asarray(alpha)))
     parts = (found.coefficients, problem.mixing, problem.low[material], problem.high[material])
     model = LogLinearBRDF(basis, *map(jnp.asarray, parts), terms=found.terms)
-    return CompactFit(model, alphas, losses, found.log_error, problem.weight.size, float(problem.floored[material]))
+    floored = float(problem.floored[material])
+    return CompactFit(model, alphas, losses, found.log_error, found.albedo, problem.weight.size, floored)

@@ -14,6 +14,7 @@ from hshjax.bases._half_vector import half_chart
 from hshjax.brdfs._log_linear import contrasts
 from hshjax.fitting._checks import check_samples
 from hshjax.fitting._eliminate import eliminate
+from hshjax.fitting._furnace import Furnace, conserved
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
 
@@ -36,6 +37,7 @@ class Choice(eqx.Module):
     terms: np.ndarray
     coefficients: np.ndarray
     log_error: float
+    albedo: float
 
 
 class Problem:
@@ -122,19 +124,24 @@ class Problem:
                 sums[place] += np.sum(self.emphasis[part] * difference**2)
         return sums
 
-    def choices(self, alpha: float, materials: Sequence[int]) -> list[Choice]:
-        """Some materials at one scale, each with functions of its own."""
+    def choices(self, alpha: float, materials: Sequence[int], *, energy: bool) -> list[Choice]:
+        """Some materials at one scale, each with functions of its own; with `energy` no albedo is above 1."""
         blocks = self._blocks(alpha, self.candidates, np.arange(self.weight.size))
-        found = []
+        furnace, found = Furnace(_basis(alpha, self.candidates)), []
         for k, equations in self._equations(materials, self.candidates, self.importance, blocks):
             terms, coefficients = equations.solution(self.coefficients, self.ridge)
+            bounds = self.low[k], self.high[k]
+            if energy:
+                matrix = equations.matrix(terms, self.ridge)
+                coefficients = conserved(furnace, matrix, terms, coefficients, self.mixing, *bounds)
             columns, error = equations.columns(terms, coefficients), 0.0
             for part, rows in blocks():
                 value, fitted = self.value[k, part], self._fitted(k, columns, rows)
                 for z in (self.wi[part, 2:], self.wo[part, 2:]):
                     error += np.sum(self.weight[part, None] * np.abs(np.log1p(z * fitted) - np.log1p(z * value)))
             mean = float(error / (2 * self.weight.sum() * self.value.shape[2]))
-            found.append(Choice(terms, coefficients, mean))
+            albedo = float(furnace.albedo(columns @ self.mixing, *bounds).max())
+            found.append(Choice(terms, coefficients, mean, albedo))
         return found
 
     def _fitted(self, material: int, columns: np.ndarray, rows: Array) -> np.ndarray:
@@ -150,7 +157,7 @@ class Problem:
 
     def _blocks(self, alpha, sizes, samples: np.ndarray) -> Callable[[], Iterator[tuple[np.ndarray, Array]]]:
         """Parts of the samples with functions `(functions, samples)`, as often as asked for; a single part is kept."""
-        basis = HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(alpha)))
+        basis = _basis(alpha, sizes)
         parts = [samples[start : start + ROWS] for start in range(0, samples.size, ROWS)]
 
         def rows(part):
@@ -160,6 +167,10 @@ class Problem:
             kept = [(parts[0], rows(parts[0]))]
             return lambda: iter(kept)
         return lambda: ((part, rows(part)) for part in parts)
+
+
+def _basis(alpha: float, sizes: tuple[int, ...]) -> HalfVectorBasis:
+    return HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(alpha)))
 
 
 def _sizes(coefficients: int, components: int) -> tuple[int, ...]:
@@ -185,17 +196,25 @@ class _Equations:
         self.gram = self.gram + np.asarray(_gram(rows, jnp.asarray(weight.T)))
         self.moment = self.moment + (np.asarray(rows) @ (weight * target)).T
 
-    def solution(self, count: int, ridge: float) -> tuple[np.ndarray, np.ndarray]:
-        """The `count` terms (function, component) that matter most, and their coefficients."""
+    def _system(self) -> np.ndarray:
         products = self.mixing[:, None] * self.mixing[None]
         if len(self.gram) == 1:
             products = products.sum(axis=2, keepdims=True)
-        matrix = np.block([
+        return np.block([
             [np.tensordot(products[i, j], self.gram[:, :m, :n], 1) for j, n in enumerate(self.sizes)]
             for i, m in enumerate(self.sizes)
         ])  # fmt: skip
+
+    def matrix(self, terms: np.ndarray, ridge: float) -> np.ndarray:
+        """The normal matrix of some terms, with the ridge."""
+        place = np.cumsum([0, *self.sizes[:-1]])[terms[:, 1]] + terms[:, 0]
+        found = self._system()[np.ix_(place, place)]
+        return found + ridge * np.diag(np.diag(found))
+
+    def solution(self, count: int, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+        """The `count` terms (function, component) that matter most, and their coefficients."""
         moment = np.concatenate([(a @ self.moment)[:n] for a, n in zip(self.mixing, self.sizes, strict=True)])
-        kept, coefficients = eliminate(matrix, moment, count, ridge=ridge)
+        kept, coefficients = eliminate(self._system(), moment, count, ridge=ridge)
         return self.terms[kept], coefficients
 
     def columns(self, terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

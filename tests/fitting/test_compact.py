@@ -7,7 +7,10 @@ import pytest
 from hshjax.bases import HalfVectorBasis, LogWarp
 from hshjax.brdfs import GGX, Lambert, LogLinearBRDF
 from hshjax.fitting import fit_compact, fit_compact_all, half_vector_samples
+from hshjax.geometry import direction
 from hshjax.io import save_model
+from hshjax.metrics import albedo
+from hshjax.quadrature import hemisphere_rule
 from hshjax.samples import Samples
 from tests.helpers import X64, directions
 
@@ -40,7 +43,7 @@ def test_samples_follow_the_highlight_and_are_folded():
     cells = np.sqrt(2 * theta / np.pi) * SHAPE[0] - 0.5
     np.testing.assert_allclose(cells, np.round(cells), atol=1e-5)
     lowest = np.minimum(samples.wi[:, 2], samples.wo[:, 2])
-    assert lowest.min() > np.cos(np.radians(87))
+    assert lowest.min() > np.cos(np.radians(89.5))
     np.testing.assert_array_equal(samples.weight, np.where(lowest > np.cos(np.radians(80)), 1, 0.05))
     assert half_vector_samples(crooked, shape=SHAPE, grazing=0.0).size == np.sum(lowest > np.cos(np.radians(80)))
     assert samples.isotropic
@@ -51,7 +54,7 @@ def test_a_model_is_found_again():
     rng = np.random.default_rng(0)
     basis = HalfVectorBasis(20, LogWarp(jnp.asarray(1e-3)))
     truth = LogLinearBRDF(basis, [jnp.asarray(0.2 * rng.normal(size=n)) for n in (20, 5, 5)])
-    found = fit_compact(half_vector_samples(truth, shape=SHAPE), 30)
+    found = fit_compact(half_vector_samples(truth, shape=SHAPE), 30, energy=False)  # it reflects more than it gets
     assert found.alpha == pytest.approx(1e-3)
     assert found.model.count == 30
     assert found.log_error < 1e-5
@@ -86,6 +89,40 @@ def test_many_materials_are_fitted_as_one_by_one():
         assert alone.alpha == together.alpha
         np.testing.assert_array_equal(alone.model.terms, together.model.terms)
         np.testing.assert_allclose(alone.model.coefficients, together.model.coefficients, rtol=1e-6, atol=1e-8)
+
+
+def glossy():
+    """Reflects 1.15 at 60 degrees and beyond, in the first channel; the second conserves energy."""
+    return Lambert([0.95, 0.2]) + GGX([0.2, 0.2], 0.2)
+
+
+def albedos(brdf):
+    """By an independent rule, up to 80 degrees."""
+    wo = direction(jnp.radians(jnp.linspace(0.0, 80, 9)), jnp.zeros(9))
+    return np.asarray(albedo(brdf, wo, hemisphere_rule(200)))
+
+
+def test_energy_is_conserved_where_it_was_not():
+    """Least squares under the constraint: albedos of at most 1, at little more error than without."""
+    samples = half_vector_samples(glossy(), shape=SHAPE)
+    free, held = fit_compact(samples, 40, energy=False), fit_compact(samples, 40)
+    assert albedos(glossy()).max() > 1.1
+    assert free.albedo > 1.1
+    assert held.albedo <= 1
+    assert albedos(free.model).max() == pytest.approx(free.albedo, rel=0.01)
+    assert albedos(held.model).max() < 1.005
+    assert free.log_error < held.log_error < 0.05
+    tame = half_vector_samples(PLASTIC, shape=SHAPE)
+    np.testing.assert_array_equal(
+        fit_compact(tame, 25).model.coefficients, fit_compact(tame, 25, energy=False).model.coefficients
+    )
+
+
+def test_grazing_angles_do_not_run_away():
+    """A sharp highlight, all of the hemisphere: what is reflected is what the material reflects."""
+    brdf = Lambert([0.3]) + GGX([0.05], 0.02)
+    found = fit_compact(brdf, 60)
+    np.testing.assert_allclose(found.albedo, albedos(brdf).max(), rtol=0.05)
 
 
 def test_blocks_change_nothing(monkeypatch):
