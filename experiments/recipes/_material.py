@@ -11,6 +11,7 @@ import hshjax
 from experiments.config import Section
 from experiments.record import Record
 from hshjax import plotting
+from hshjax._typing import PairFunction
 
 FAMILIES = {"HSH": hshjax.HSH, "Zernike": hshjax.Zernike, "SHR": hshjax.SHR}
 Family = Literal["HSH", "Zernike", "SHR"]
