@@ -98,7 +98,7 @@ class AbstractBasis(eqx.Module):
         (w,) = as_directions(w)
         return _rows(self, w.reshape(-1, 3)).reshape(*w.shape[:-1], self.count)
 
-    def evaluate(self, coefficients: Float[Array, "modes *channels"], w: Float[Array, "*batch 3"]) -> Real:
+    def evaluate(self, coefficients: Float[Array, " modes *channels"], w: Float[Array, "*batch 3"]) -> Real:
         """Σ_k c_k y_k(w), `(*batch, *channels)`, for any number of channels; the design row is never materialised.
 
         **Raises:** ValueError if `coefficients` does not have one row per mode.

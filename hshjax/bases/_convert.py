@@ -11,7 +11,7 @@ from hshjax.geometry import common_dtype
 
 def convert(
     source: AbstractBasis | AbstractProductBasis,
-    coefficients: Float[Array, "modes *channels"],
+    coefficients: Float[Array, " modes *channels"],
     target: AbstractBasis | AbstractProductBasis,
 ) -> Real:
     """Coefficients `(modes of target, *channels)` of the nearest function (in L2) that `target` can say.
@@ -49,7 +49,7 @@ def from_ordered(pairs: HelmholtzBasis, series: Float[Array, "k k *channels"]) -
     return jnp.where(_column(a == b, both), both / 2, both)
 
 
-def to_ordered(pairs: HelmholtzBasis, coefficients: Float[Array, "modes *channels"]) -> Real:
+def to_ordered(pairs: HelmholtzBasis, coefficients: Float[Array, " modes *channels"]) -> Real:
     """The ordered series of Eq. 3 with a_np^mq = a_pn^qm, the one of least norm among those that say the same."""
     check_modes(pairs, coefficients)
     k, (a, b) = pairs.basis.count, pairs.unordered()

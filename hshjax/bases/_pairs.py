@@ -247,7 +247,7 @@ class HelmholtzBasis(AbstractProductBasis):
         return isinstance(other, HelmholtzBasis) and self.basis == other.basis
 
 
-def to_matrix(pairs: AbstractProductBasis, coefficients: Float[Array, "modes *channels"]) -> Real:
+def to_matrix(pairs: AbstractProductBasis, coefficients: Float[Array, " modes *channels"]) -> Real:
     """The matrix A, `(K, K, *channels)`, with ρ(wi, wo) = h(wi)ᵀ A h(wo); symmetric for a reciprocal basis."""
     coefficients = jnp.asarray(coefficients)
     check_modes(pairs, coefficients)

@@ -58,7 +58,7 @@ def reflect(
     return radiance.reshape(*points.pixels, radiance.shape[1])
 
 
-def _contributions(brdf, lighting, points: Given, chunk) -> Iterator[Float[Array, "n #channels"]]:
+def _contributions(brdf, lighting, points: Given, chunk) -> Iterator[Float[Array, " n #channels"]]:
     """What the pairs of a part of the BRDF and a part of the light add to the radiance."""
 
     def in_closed_form(series, light):
