@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -17,13 +17,13 @@ from hshjax import (
     LogLinearBRDF,
     OrthographicCamera,
     angles,
-    direction,
     half_vector,
     half_vector_samples,
     plotting,
     sphere,
 )
 from hshjax._typing import Array
+from hshjax.fitting._furnace import furnace_rule
 from hshjax.geometry import frame
 from hshjax.io import read_exr
 from hshjax.lighting import AbstractLighting, Points
@@ -35,6 +35,12 @@ LARGEST = float(np.radians(80))
 LAMPS = (((0.55, 0.55, 0.63), 2.0), ((-0.9, 0.3, 0.32), 1.2), ((0.2, -0.75, 0.63), 0.8))
 CEILING = 80.0
 """Of a peak signal-to-noise ratio [dB]."""
+
+POLAR = tuple(np.radians([0, 20, 40, 60, 70, 80]).tolist())
+"""Of the eye in a white furnace [radians]."""
+
+NODES = (240, 64)
+"""Of half vectors there, in θ and φ: more than a fit looks at."""
 
 PAIRS = 2**15
 """Of directions that are looked at together."""
@@ -143,14 +149,14 @@ def images(brdf: Callable, pictures: list[Picture]) -> list[np.ndarray]:
     """Radiance `(pixels, channels)` of each picture; of several materials together, each is lit in its own channels."""
     found = []
     for one in pictures:
-        radiance: Any = 0
+        pixels, radiance = one.pixel[-1] + 1, None
         for start in range(0, len(one.pixel), PAIRS):
             part = slice(start, start + PAIRS)
             value = evaluated(brdf, one.wi[part], one.wo[part])
             lit = value.reshape(len(value), -1, one.irradiance.shape[1]) * one.irradiance[part, None]
             pixel = one.pixel[part]
             first = np.flatnonzero(np.diff(pixel, prepend=-1))
-            radiance = radiance + np.zeros((one.pixel[-1] + 1, value.shape[1]))
+            radiance = np.zeros((pixels, value.shape[1])) if radiance is None else radiance
             radiance[pixel[first]] += np.add.reduceat(lit.reshape(value.shape), first, axis=0)
         found.append(radiance)
     return found
@@ -179,22 +185,14 @@ def psnr(truth: list[np.ndarray], fitted: list[np.ndarray]) -> float:
     return float(np.mean(found))
 
 
-def largest_albedo(brdf: Callable, polar: Sequence[float] = tuple(np.radians([0, 20, 40, 60, 70, 80]))) -> np.ndarray:
+def largest_albedo(brdf: Callable, polar: Sequence[float] = POLAR) -> np.ndarray:
     """Of each channel, over these angles of the eye: integrals over half vectors, on nodes that follow highlights."""
-    t, weight = np.polynomial.legendre.leggauss(240)
-    t, weight = (t + 1) / 2, weight / 2
-    phi = 2 * np.pi * (np.arange(64) + 0.5) / 64
-    theta = t**3 * np.pi / 2
-    h = np.asarray(direction(jnp.asarray(theta)[:, None], jnp.asarray(phi)[None]))
-    measure = (weight * 3 * t**2 * np.pi / 2 * np.sin(theta))[:, None] * np.full(64, 2 * np.pi / 64)
     largest = []
     for angle in polar:
-        wo = np.array([np.sin(angle), 0, np.cos(angle)])
-        facing = h @ wo
-        wi = 2 * facing[..., None] * h - wo
-        seen = (facing > 0) & (wi[..., 2] > 0)
-        value = evaluated(brdf, wi[seen], np.broadcast_to(wo, wi[seen].shape))
-        largest.append((measure * 4 * facing * wi[..., 2])[seen] @ value)
+        wi, wo, weight = furnace_rule(angle, NODES)
+        lit = weight > 0
+        value = evaluated(brdf, wi[lit], np.broadcast_to(wo, wi[lit].shape))
+        largest.append(weight[lit] @ value)
     return np.max(largest, axis=0)
 
 

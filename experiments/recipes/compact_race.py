@@ -2,7 +2,7 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Any, Literal
 
 import jax.numpy as jnp
@@ -42,10 +42,10 @@ from hshjax import (
     isotropic_pair_rule,
 )
 from hshjax.fitting import LogCosineWeighted, SampleMisfit, initial_guesses, multi_start
+from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, MARGIN, visibility
 from hshjax.io import read_rgl
 
 REFERENCE = "reference_eval.npz"
-FLOOR = 1e-4
 MODELS = {
     "compact": (BLUE, "-"), "HSH": (RED, "-"), "HSH, log": (RED, ":"), "Zernike": (ORANGE, "-"),
     "Zernike, log": (ORANGE, ":"), "GGX": ("0.7", "-"), "network": (GREEN, "-"), "network, both ways": (GREEN, ":"),
@@ -164,9 +164,8 @@ def _compact(judge: _Judge, samples: list[Samples], count: int) -> list[dict[str
         groups[fit.alpha].append((name, fit.model))
     rows = []
     for group in groups.values():
-        values = judge.values(together([model for _, model in group]))
-        for k, (name, _) in enumerate(group):
-            rows.append(judge.row(name, count, "compact", _channels(values, slice(3 * k, 3 * k + 3)), seconds))
+        names, models = zip(*group, strict=True)
+        rows += _each(judge, names, count, "compact", judge.values(together(models)), seconds)
     return rows
 
 
@@ -183,33 +182,34 @@ def _products(judge: _Judge, samples: list[Samples], label: str, basis: Isotropi
     seconds = (time.perf_counter() - begin) / len(fits)
     coefficients = jnp.concatenate([fit.model.coefficients for fit in fits], axis=1)
     values = judge.values(hshjax.LinearBRDF(basis, coefficients, fits[0].model.target))
-    return _everyone(judge, 3 * basis.count, label, values, seconds)
+    return _each(judge, judge.materials, 3 * basis.count, label, values, seconds)
 
 
-def _everyone(judge: _Judge, n: int, label: str, values: dict[str, Any], seconds: float) -> list[dict[str, Any]]:
-    """Rows of all materials by the values of a model of all their channels."""
+def _each(
+    judge: _Judge, names: Iterable[str], n: int, label: str, values: dict[str, Any], seconds: float
+) -> list[dict[str, Any]]:
+    """Rows of materials by the values of a model of all their channels."""
     return [
-        judge.row(name, n, label, _channels(values, slice(3 * k, 3 * k + 3)), seconds)
-        for k, name in enumerate(judge.materials)
+        judge.row(name, n, label, _channels(values, slice(3 * k, 3 * k + 3)), seconds) for k, name in enumerate(names)
     ]
 
 
 def _exponentials(judge: _Judge, samples: list[Samples], label: str, basis: IsotropicBasis) -> list[dict[str, Any]]:
-    """ρ = exp(series), each channel by itself: least squares in ln ρ, weighted and bounded as compact fits are."""
+    """ρ = exp(series), each channel by itself: least squares in ln ρ, bounded as compact fits are, on like weights."""
     begin, models = time.perf_counter(), []
     design = np.asarray(basis(samples[0].wi, samples[0].wo))
     cosine = np.asarray(samples[0].wi[:, 2:] + samples[0].wo[:, 2:]) / 2
     for one in samples:
-        target, seen = np.log(np.maximum(one.value, FLOOR)), cosine * np.asarray(one.value)
-        roots = np.sqrt(np.asarray(one.weight)[:, None] * ((seen / (0.03 + seen)) ** 2 + 0.1**2))
+        target = np.log(np.maximum(one.value, FLOOR))
+        roots = np.sqrt(np.asarray(one.weight)[:, None] * visibility(cosine * np.asarray(one.value), DARK, EVERYWHERE))
         columns = [
             jnp.asarray(np.linalg.lstsq(root[:, None] * design, root * logarithm, rcond=1e-6)[0])
             for root, logarithm in zip(roots.T, target.T, strict=True)
         ]
-        bounds = (jnp.asarray(part) for part in (target.min(axis=0) - 0.7, target.max(axis=0) + 0.7))
+        bounds = (jnp.asarray(part) for part in (target.min(axis=0) - MARGIN, target.max(axis=0) + MARGIN))
         models.append(LogLinearBRDF(basis, columns, jnp.eye(len(columns)), *bounds))
     seconds = (time.perf_counter() - begin) / len(models)
-    return _everyone(judge, models[0].count, label, judge.values(together(models)), seconds)
+    return _each(judge, judge.materials, models[0].count, label, judge.values(together(models)), seconds)
 
 
 def _lobes(judge: _Judge, samples: list[Samples]) -> list[dict[str, Any]]:

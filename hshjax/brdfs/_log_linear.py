@@ -1,5 +1,6 @@
 """A BRDF whose logarithm is a series: positive by construction, and compact over half-vector bases."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -117,11 +118,15 @@ class LogLinearBRDF(AbstractBRDF):
         return jnp.exp(jnp.clip(logarithm, per_channel(low, wi), per_channel(high, wi)))
 
 
+def leading_terms(sizes: Sequence[int]) -> np.ndarray:
+    """The terms `(terms, 2)`, (function, component), of so many leading functions in each component. Host array."""
+    return np.concatenate([np.stack([np.arange(n), np.full(n, j)], axis=1) for j, n in enumerate(sizes)])
+
+
 def _leading(components: Any) -> tuple[Array, np.ndarray]:
     """Coefficients and terms of the first functions of each component."""
     parts = [floating(part) for part in components]
     if not parts or any(part.ndim != 1 for part in parts):
         shapes = [part.shape for part in parts]
         raise ValueError(f"without terms, coefficients are an array (n_j,) for each component, got shapes {shapes}")
-    terms = [np.stack([np.arange(part.size), np.full(part.size, j)], axis=1) for j, part in enumerate(parts)]
-    return jnp.concatenate(parts), np.concatenate(terms)
+    return jnp.concatenate(parts), leading_terms([part.size for part in parts])

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Float, PairFunction
-from hshjax.bases import HalfVectorBasis, LogWarp, total_order
 from hshjax.brdfs._log_linear import LogLinearBRDF
-from hshjax.fitting._compact_equations import Choice, Problem
+from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, Choice, Problem, leading_basis
 from hshjax.geometry import from_half_difference
 from hshjax.metrics import with_channels
 from hshjax.samples import Samples
@@ -119,9 +118,9 @@ def fit_compact_all(
     coefficients: int = 150,
     *,
     alphas: Sequence[float] | None = None,
-    dark: float = 0.03,
-    everywhere: float = 0.1,
-    floor: float = 1e-4,
+    dark: float = DARK,
+    everywhere: float = EVERYWHERE,
+    floor: float = FLOOR,
     ridge: float = 3e-6,
     mixing: Any = None,
     energy: bool = True,
@@ -161,7 +160,7 @@ def _result(
     losses: Float[np.ndarray, " alphas"],
 ) -> CompactFit:
     """The model of one material at its α, in the default float of the caller."""
-    basis = HalfVectorBasis(total_order(problem.candidates[0]), LogWarp(jnp.asarray(alpha)))
+    basis = leading_basis(alpha, problem.candidates)
     parts = (found.coefficients, problem.mixing, problem.low[material], problem.high[material])
     model = LogLinearBRDF(basis, *map(jnp.asarray, parts), terms=found.terms)
     floored = float(problem.floored[material])

@@ -11,12 +11,15 @@ import numpy as np
 from hshjax._typing import Array
 from hshjax.bases import HalfVectorBasis, IdentityWarp, LogWarp, total_order
 from hshjax.bases._half_vector import half_chart
-from hshjax.brdfs._log_linear import contrasts
+from hshjax.brdfs._log_linear import contrasts, leading_terms
 from hshjax.fitting._checks import check_samples
 from hshjax.fitting._eliminate import eliminate
-from hshjax.fitting._furnace import Furnace, conserved
+from hshjax.fitting._furnace import LIMIT, Furnace, conserved
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
+
+DARK, EVERYWHERE, FLOOR = 0.03, 0.1, 1e-4
+"""Defaults of what `fit_compact` says of them."""
 
 MARGIN = 0.7
 """How far ln ρ may leave the range of the data, a factor of two."""
@@ -75,8 +78,7 @@ class Problem:
         self.cosine = (self.wi[:, 2:] + self.wo[:, 2:]) / 2
         # Off the highlight there is more to see than a grid that follows it has samples of.
         self.emphasis = (self.weight * (0.5 + 0.75 * np.sqrt(2 * theta_h / np.pi)))[:, None]
-        seen = self.cosine * self.value
-        self.importance = self.emphasis * ((seen / (dark + seen)) ** 2 + everywhere**2)
+        self.importance = self.emphasis * visibility(self.cosine * self.value, dark, everywhere)
         self.alike = self.importance.mean(axis=2, keepdims=True)
         self.glance = np.sort(np.random.default_rng(0).permutation(self.weight.size)[:GLANCE])
 
@@ -127,21 +129,23 @@ class Problem:
     def choices(self, alpha: float, materials: Sequence[int], *, energy: bool) -> list[Choice]:
         """Some materials at one scale, each with functions of its own; with `energy` no albedo is above 1."""
         blocks = self._blocks(alpha, self.candidates, np.arange(self.weight.size))
-        furnace, found = Furnace(_basis(alpha, self.candidates)), []
+        furnace, found = Furnace(leading_basis(alpha, self.candidates)), []
         for k, equations in self._equations(materials, self.candidates, self.importance, blocks):
             terms, coefficients = equations.solution(self.coefficients, self.ridge)
-            bounds = self.low[k], self.high[k]
-            if energy:
+            columns, bounds = equations.columns(terms, coefficients), (self.low[k], self.high[k])
+            albedo = furnace.albedo(columns @ self.mixing, *bounds).max()
+            if energy and albedo > LIMIT:
                 matrix = equations.matrix(terms, self.ridge)
                 coefficients = conserved(furnace, matrix, terms, coefficients, self.mixing, *bounds)
-            columns, error = equations.columns(terms, coefficients), 0.0
+                columns = equations.columns(terms, coefficients)
+                albedo = furnace.albedo(columns @ self.mixing, *bounds).max()
+            error = 0.0
             for part, rows in blocks():
                 value, fitted = self.value[k, part], self._fitted(k, columns, rows)
                 for z in (self.wi[part, 2:], self.wo[part, 2:]):
                     error += np.sum(self.weight[part, None] * np.abs(np.log1p(z * fitted) - np.log1p(z * value)))
             mean = float(error / (2 * self.weight.sum() * self.value.shape[2]))
-            albedo = float(furnace.albedo(columns @ self.mixing, *bounds).max())
-            found.append(Choice(terms, coefficients, mean, albedo))
+            found.append(Choice(terms, coefficients, mean, float(albedo)))
         return found
 
     def _fitted(self, material: int, columns: np.ndarray, rows: Array) -> np.ndarray:
@@ -157,7 +161,7 @@ class Problem:
 
     def _blocks(self, alpha, sizes, samples: np.ndarray) -> Callable[[], Iterator[tuple[np.ndarray, Array]]]:
         """Parts of the samples with functions `(functions, samples)`, as often as asked for; a single part is kept."""
-        basis = _basis(alpha, sizes)
+        basis = leading_basis(alpha, sizes)
         parts = [samples[start : start + ROWS] for start in range(0, samples.size, ROWS)]
 
         def rows(part):
@@ -169,8 +173,14 @@ class Problem:
         return lambda: ((part, rows(part)) for part in parts)
 
 
-def _basis(alpha: float, sizes: tuple[int, ...]) -> HalfVectorBasis:
+def leading_basis(alpha: float, sizes: Sequence[int]) -> HalfVectorBasis:
+    """The functions that components of these sizes need, the first of which is the largest, at one scale."""
     return HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(alpha)))
+
+
+def visibility(seen: np.ndarray, dark: float, everywhere: float) -> np.ndarray:
+    """Squared weights of differences in ln ρ that make them count as |Δ ln(1 + ρ z / dark)|; `seen` is ρ z."""
+    return (seen / (dark + seen)) ** 2 + everywhere**2
 
 
 def _sizes(coefficients: int, components: int) -> tuple[int, ...]:
@@ -190,7 +200,7 @@ class _Equations:
         self.mixing, self.sizes = mixing, sizes
         self.gram: Any = 0.0
         self.moment: Any = 0.0
-        self.terms = np.concatenate([np.stack([np.arange(n), np.full(n, j)], 1) for j, n in enumerate(sizes)])
+        self.terms = leading_terms(sizes)
 
     def add(self, rows: Array, weight: np.ndarray, target: np.ndarray) -> None:
         self.gram = self.gram + np.asarray(_gram(rows, jnp.asarray(weight.T)))

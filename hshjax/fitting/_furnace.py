@@ -16,6 +16,28 @@ LIMIT = 1.0
 STEPS = 20
 
 
+def furnace_rule(
+    angle: float, nodes: tuple[int, int], *, turn: float = 2 * np.pi
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Light from everywhere, for an eye at some polar angle [radians]: wi `(n, 3)`, wo `(3,)`, weights z_i dω_i `(n,)`.
+
+    Nodes are those of half vectors, `nodes` of them in θ and φ, denser towards the normal: they follow highlights. The
+    weight is 0 where light would come from below, and wi the normal. `turn`: how far φ goes; π is enough for functions
+    that do not change in a mirror, and weights are those of the whole circle either way.
+    """
+    t, weight = np.polynomial.legendre.leggauss(nodes[0])
+    t, weight = (t + 1) / 2, weight / 2
+    theta, phi = t**3 * np.pi / 2, turn * (np.arange(nodes[1]) + 0.5) / nodes[1]
+    h = np.asarray(direction(jnp.asarray(theta)[:, None], jnp.asarray(phi)[None])).reshape(-1, 3)
+    solid_angle = np.repeat(weight * 3 * t**2 * np.pi / 2 * np.sin(theta) * 2 * np.pi / nodes[1], nodes[1])
+    wo = np.array([np.sin(angle), 0, np.cos(angle)])
+    facing = h @ wo
+    wi = 2 * facing[:, None] * h - wo
+    lit = (facing > 0) & (wi[:, 2] > 0)
+    weight = np.where(lit, solid_angle * 4 * facing * wi[:, 2], 0)  # dω_i = 4 cos θ_d dω_h
+    return np.where(lit[:, None], wi, [0, 0, 1]), wo, weight
+
+
 class Furnace:
     """Directional albedos ∫ ρ z_i dω_i as sums over half vectors, on nodes that follow highlights.
 
@@ -23,21 +45,11 @@ class Furnace:
     """
 
     def __init__(self, basis: HalfVectorBasis):
-        t, weight = np.polynomial.legendre.leggauss(NODES[0])
-        t, weight = (t + 1) / 2, weight / 2
-        phi = np.pi * (np.arange(NODES[1]) + 0.5) / NODES[1]  # the other half is its mirror image
-        theta = t**3 * np.pi / 2
-        h = np.asarray(direction(jnp.asarray(theta)[:, None], jnp.asarray(phi)[None])).reshape(-1, 3)
-        solid_angle = np.repeat(weight * 3 * t**2 * np.pi / 2 * np.sin(theta) * 2 * np.pi / NODES[1], NODES[1])
         functions, weights = [], []
-        for angle in np.radians(POLAR):
-            wo = np.array([np.sin(angle), 0, np.cos(angle)])
-            facing = h @ wo
-            wi = 2 * facing[:, None] * h - wo
-            lit = (facing > 0) & (wi[:, 2] > 0)
-            wi[~lit] = [0, 0, 1]
+        for angle in np.radians(POLAR).tolist():
+            wi, wo, weight = furnace_rule(angle, NODES, turn=np.pi)
             functions.append(np.asarray(basis(jnp.asarray(wi), jnp.broadcast_to(jnp.asarray(wo), wi.shape))))
-            weights.append(np.where(lit, solid_angle * 4 * facing * wi[:, 2], 0))  # dω_i = 4 cos θ_d dω_h
+            weights.append(weight)
         self.functions, self.weight = np.stack(functions), np.stack(weights)
 
     def albedo(self, columns: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
