@@ -293,8 +293,11 @@ def _series(brdf) -> dict[str, str]:
 
     parts = [str(int((brdf.terms[:, 1] == j).sum())) for j in range(brdf.mixing.shape[0])]
     facts = {"coefficients": f"{brdf.count}: {' + '.join(parts)}, of {brdf.basis.count} functions each"}
-    if isinstance(brdf.basis, HalfVectorBasis) and isinstance(brdf.basis.warp, AbstractScaledWarp):
-        facts["scale of the warp"] = f"{float(brdf.basis.warp.alpha):.3g} ({type(brdf.basis.warp).__name__})"
+    if isinstance(brdf.basis, HalfVectorBasis):
+        warps = {"scale of the warp": brdf.basis.warp, "scale of the difference warp": brdf.basis.difference_warp}
+        for name, warp in warps.items():
+            if isinstance(warp, AbstractScaledWarp):
+                facts[name] = f"{float(warp.alpha):.3g} ({type(warp).__name__})"
     return facts
 
 

@@ -11,9 +11,11 @@ from hshjax._special import RadialTables, jacobi_matrix, powers, radial_rows, ra
 from hshjax._typing import Array, Float
 from hshjax.bases._isotropic import radial_sums
 from hshjax.bases._pairs import AbstractPairBasis
-from hshjax.bases._warp import AbstractWarp, LogWarp
+from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
 Mode = tuple[int, int, int]
+
+UNWARPED = IdentityWarp()
 
 COST = (1 / 1.4, 0.5, 1.2)
 """Of a degree in the half angle, one in the difference angle, an azimuthal order: what functions are sorted by."""
@@ -67,17 +69,18 @@ class HalfVectorBasis(AbstractPairBasis):
         B_anm = U_a^μ V_n^μ Φ_m(φ_d),    U_a^μ = sqrt(2a + 1) u^{μ/2} P_{a-μ/2}^{(0,μ)}(2u - 1),
                                          V_n^μ = sqrt(n + 1) v^{μ/2} P_{(n-μ)/2}^{(0,μ)}(2v - 1),
 
-    with μ = |m|, u = warp(1 - cos θ_h), v = 1 - cos θ_d, Φ_m = sqrt2 cos(m φ_d) for m > 0, sqrt2 sin(|m| φ_d) for
-    m < 0, and 1 for m = 0. A swap of wi and wo adds π to φ_d: m is even, and reciprocity exact. Functions of m >= 0
-    alone are bilateral as well (unchanged under φ_d -> -φ_d). They are polynomials in u, times Zernike's circle
-    polynomials of even order in the difference direction.
+    with μ = |m|, u = warp(1 - cos θ_h), v = difference_warp(1 - cos θ_d), Φ_m = sqrt2 cos(m φ_d) for m > 0,
+    sqrt2 sin(|m| φ_d) for m < 0, and 1 for m = 0. A swap of wi and wo adds π to φ_d: m is even, and reciprocity
+    exact. Functions of m >= 0 alone are bilateral as well (unchanged under φ_d -> -φ_d). They are polynomials in u,
+    times Zernike's circle polynomials of even order in the difference direction.
 
-    The factor u^{μ/2} is what makes them smooth where wi and wo mirror each other and φ_d loses its meaning; φ_d is
-    never computed. They are orthonormal for du dv dφ_d / 2π on [0, 1] x [0, 1] x [0, 2π): more than the pairs of two
-    hemispheres, and in a measure that follows the warp. `modes` holds (a, n, m).
+    The factors u^{μ/2} and v^{μ/2} are what makes them smooth where wi and wo mirror each other or are equal, and φ_d
+    loses its meaning; φ_d is never computed. They are orthonormal for du dv dφ_d / 2π on [0, 1] x [0, 1] x [0, 2π):
+    more than the pairs of two hemispheres, and in a measure that follows the warps. `modes` holds (a, n, m).
 
     - `functions`: such a table; or how many, by `total_order`.
-    - `warp`: its scale α is differentiable, and belongs to the material.
+    - `warp`: its scale α is differentiable, and belongs to the material: about the width of its highlight.
+    - `difference_warp`: the same about wi = wo, for materials that reflect back to the light in a narrow lobe.
 
     **Raises:** ValueError for functions that do not exist.
 
@@ -86,10 +89,12 @@ class HalfVectorBasis(AbstractPairBasis):
 
     functions: tuple[Mode, ...] = eqx.field(static=True, converter=_table)
     warp: AbstractWarp = eqx.field(default_factory=lambda: LogWarp(jnp.asarray(0.01)))
+    difference_warp: AbstractWarp = eqx.field(default_factory=IdentityWarp)
 
     def __check_init__(self):
-        if not isinstance(self.warp, AbstractWarp):
-            raise ValueError(f"a HalfVectorBasis needs a warp, got {self.warp!r}")
+        for warp in (self.warp, self.difference_warp):
+            if not isinstance(warp, AbstractWarp):
+                raise ValueError(f"a HalfVectorBasis needs a warp, got {warp!r}")
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -152,22 +157,27 @@ def _layout(functions: tuple[Mode, ...]) -> Layout:
 def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
     """Polynomials in u and in v, `(orders, degrees, pairs)`, and (Re, Im) of c^p, `(2, orders, pairs)`."""
     n = _layout(basis.functions)
-    chart = half_chart(basis.warp, wi, wo)
+    chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
     re, im = chart.turn
     azimuth = powers((re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
     return radial_rows(n.half, 2 * chart.u - 1), radial_rows(n.difference, 2 * chart.v - 1), azimuth
 
 
 class HalfChart(NamedTuple):
-    """Coordinates of pairs: u = warp(1 - cos θ_h), v = 1 - cos θ_d, and c = u v exp(2i φ_d) as (Re, Im)."""
+    """Of pairs: u = warp(1 - cos θ_h), v = difference_warp(1 - cos θ_d), and c = u v exp(2i φ_d) as (Re, Im)."""
 
     u: Float[Array, " pairs"]
     v: Float[Array, " pairs"]
     turn: tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
 
 
-def half_chart(warp: AbstractWarp, wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]) -> HalfChart:
-    """Smooth wherever both directions lie above the horizon, without an angle: as smooth as the warp."""
+def half_chart(
+    warp: AbstractWarp,
+    wi: Float[Array, "pairs 3"],
+    wo: Float[Array, "pairs 3"],
+    difference_warp: AbstractWarp = UNWARPED,
+) -> HalfChart:
+    """Smooth wherever both directions lie above the horizon, without an angle: as smooth as the warps."""
     total, half = wi + wo, (wi - wo) / 2
     square = jnp.sum(total * total, axis=1)
     proper = square > 0  # wi = -wo, on the horizon, has no half vector
@@ -176,11 +186,11 @@ def half_chart(warp: AbstractWarp, wi: Float[Array, "pairs 3"], wo: Float[Array,
     hz = jnp.where(proper, hz, 1)
     cos_d = jnp.where(proper, length / 2, 0)
     o = (hx * hx + hy * hy) / (1 + hz)  # 1 - cos θ_h without its cancellation
-    v = jnp.sum(half * half, axis=1) / (1 + cos_d)
+    o_d = jnp.sum(half * half, axis=1) / (1 + cos_d)  # 1 - cos θ_d
     # The difference vector, sin θ_d long, turned the short way from h to the pole; then relative to the azimuth of h.
     lift = half[:, 2] / (1 + hz)
     dx, dy = half[:, 0] - lift * hx, half[:, 1] - lift * hy
     re, im = dx * hx + dy * hy, dy * hx - dx * hy
-    ratio = warp.ratio(o)
-    scale = ratio / ((1 + hz) * (1 + cos_d))
-    return HalfChart(o * ratio, v, (scale * (re * re - im * im), scale * 2 * re * im))
+    ratio, ratio_d = warp.ratio(o), difference_warp.ratio(o_d)
+    scale = ratio * ratio_d / ((1 + hz) * (1 + cos_d))
+    return HalfChart(o * ratio, o_d * ratio_d, (scale * (re * re - im * im), scale * 2 * re * im))

@@ -1,4 +1,4 @@
-"""Where the radial coordinate of the half vector runs fast: warps of o = 1 - cos θ_h, for lobes of any width."""
+"""Where a radial coordinate runs fast: warps of o = 1 - cos θ_h or 1 - cos θ_d, for lobes of any width."""
 
 import abc
 
@@ -12,7 +12,7 @@ from hshjax._typing import Array, Float, Real
 
 
 class AbstractWarp(eqx.Module):
-    """A rising function u of o = 1 - cos θ_h = 2 sin²(θ_h/2) on [0, 1], with u(0) = 0 and u(1) = 1."""
+    """A rising function u of o = 1 - cos θ = 2 sin²(θ/2) on [0, 1], with u(0) = 0 and u(1) = 1; θ is θ_h or θ_d."""
 
     @abc.abstractmethod
     def ratio(self, o: Real) -> Real:
@@ -24,14 +24,14 @@ class AbstractWarp(eqx.Module):
 
 
 class IdentityWarp(AbstractWarp):
-    """u = o: polynomials in cos θ_h."""
+    """u = o: polynomials in cos θ."""
 
     def ratio(self, o):
         return jnp.ones_like(o)
 
 
 class RootWarp(AbstractWarp):
-    """u = sqrt(o), in proportion to sin(θ_h/2). Not smooth at o = 0, where derivatives are reported as 0."""
+    """u = sqrt(o), in proportion to sin(θ/2). Not smooth at o = 0, where derivatives are reported as 0."""
 
     def ratio(self, o):
         positive = o > 0
@@ -54,7 +54,7 @@ class AbstractScaledWarp(AbstractWarp):
 
 
 class RationalWarp(AbstractScaledWarp):
-    """u = (1 + α) o / (o + α): resolves lobes down to a width of about sqrt(2 α) [radians] in θ_h."""
+    """u = (1 + α) o / (o + α): resolves lobes down to a width of about sqrt(2 α) [radians] in θ."""
 
     def ratio(self, o):
         alpha = self.alpha.astype(o.dtype)

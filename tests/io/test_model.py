@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from hshjax.bases import HSH, SHR, Zernike
+from hshjax.bases import HSH, SHR, HalfVectorBasis, IdentityWarp, RationalWarp, Zernike
 from hshjax.brdfs import AbstractBRDF
 from hshjax.io import FileFormatError, load_model, read_rgl, save_model
 from tests.helpers import DTYPE, directions
@@ -57,6 +57,24 @@ def again(model, tmp_path, **kwargs):
 @pytest.mark.parametrize("basis", [HSH(4), SHR(3), Zernike(6)], ids=str)
 def test_bases(basis, tmp_path):
     assert again(basis, tmp_path) == basis
+
+
+def test_half_vector_bases_of_before_they_warped_the_difference(tmp_path):
+    """The field that such files lack means what functions were then; no other may be missing."""
+    path, basis = tmp_path / "a.model", HalfVectorBasis(5, RationalWarp(jnp.asarray(0.02, DTYPE)))
+    save_model(path, basis)
+    header, _, blob = path.read_bytes().partition(b"\n")
+    header = json.loads(header)
+    fields = header["model"]["fields"]
+    assert fields.pop("difference_warp") == {"module": "IdentityWarp", "of": "hshjax", "fields": {}}
+    path.write_bytes(json.dumps(header).encode() + b"\n" + blob)
+    loaded = load_model(path)
+    assert_same(loaded, basis)
+    assert isinstance(loaded.difference_warp, IdentityWarp)
+    del fields["warp"]
+    path.write_bytes(json.dumps(header).encode() + b"\n" + blob)
+    with pytest.raises(FileFormatError, match=r"HalfVectorBasis: expected the fields .*, got \['functions'\]"):
+        load_model(path)
 
 
 def test_everything_a_model_may_hold(tmp_path):
