@@ -116,13 +116,13 @@ class HalfVectorBasis(AbstractPairBasis):
         return np.array([mode[:2] for mode in self.functions])
 
     def block_rows(self, wi, wo):
-        n = _layout(self.functions)
+        n = function_layout(self.functions)
         half, difference, azimuth = _factors(self, wi, wo)
         norm = jnp.asarray(n.norm, wi.dtype)[:, None]
         return (norm * azimuth[n.sine, n.p] * half[n.p, n.j] * difference[n.p, n.k]).T
 
     def block_sums(self, coefficients, wi, wo):
-        n = _layout(self.functions)
+        n = function_layout(self.functions)
         half, difference = n.half.slope.shape[1], n.difference.slope.shape[1]
         matrices = jnp.zeros((1 + max(n.sine), n.half.counts.size, half, difference, coefficients.shape[1]), wi.dtype)
         weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
@@ -142,7 +142,7 @@ class Layout(NamedTuple):
 
 
 @lru_cache
-def _layout(functions: tuple[Mode, ...]) -> Layout:
+def function_layout(functions: tuple[Mode, ...]) -> Layout:
     a, n, m = np.array(functions, np.int32).T  # int32 for the reason that is given in _isotropic.py
     p = np.abs(m) // 2
     j, k = a - p, (n - 2 * p) // 2
@@ -156,7 +156,7 @@ def _layout(functions: tuple[Mode, ...]) -> Layout:
 
 def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
     """Polynomials in u and in v, `(orders, degrees, pairs)`, and (Re, Im) of c^p, `(2, orders, pairs)`."""
-    n = _layout(basis.functions)
+    n = function_layout(basis.functions)
     chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
     re, im = chart.turn
     azimuth = powers((re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)

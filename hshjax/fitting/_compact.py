@@ -1,6 +1,8 @@
 """A measured isotropic material as a compact reciprocal model: the logarithm as a series over a half-vector basis."""
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from os import PathLike
 from typing import Any
 
@@ -12,6 +14,7 @@ import numpy as np
 from hshjax._typing import Float, PairFunction
 from hshjax.brdfs._log_linear import LogLinearBRDF
 from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, Choice, Problem, leading_basis
+from hshjax.fitting._lapack import suited_threads
 from hshjax.geometry import from_half_difference
 from hshjax.metrics import with_channels
 from hshjax.samples import Samples
@@ -29,7 +32,7 @@ class CompactFit(eqx.Module):
     - `model`: a `LogLinearBRDF`; its `count` leaves out the scale α of the warp, and two bounds for each channel.
     - `alphas`, `losses` `(alphas,)`: the scales that were tried, and the loss of each with the functions that lead in
       `total_order`; the least and its neighbours are tried again with functions of the material's own. The loss is
-      Σ (Δ ln(1 + ρ z / dark))², weighted, over some of the samples. At the end of the range a matte material wants no
+      Σ |Δ ln(1 + ρ z)|, weighted, over the samples or some of them. At the end of the range a matte material wants no
       warp (the largest α), or a highlight is sharper than what was tried (the smallest).
     - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are. Of
       dark and matte materials that is an absolute error: `hshjax.relative_error` has the relative ones.
@@ -49,6 +52,11 @@ class CompactFit(eqx.Module):
     def alpha(self) -> float:
         """The scale of the model's warp."""
         return float(self.model.basis.warp.alpha)  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def beta(self) -> float | None:
+        """The scale of the warp of the difference angle, where the material reflects back to the light; or None."""
+        return getattr(self.model.basis.difference_warp, "alpha", None)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def half_vector_samples(
@@ -85,8 +93,10 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     """A positive reciprocal model of an isotropic material in so many coefficients, all channels together.
 
     ln ρ is a series over `HalfVectorBasis`, in closed form for every scale α of its warp; the best one is kept, and of
-    twice as many functions those without which least squares would lose most. Weights are such that differences count
-    as |Δ ln(1 + ρ z / dark)|, to first order.
+    twice as many functions those without which least squares would lose most. Least squares are weighted such that
+    differences count as (Δ ln(1 + ρ z / dark))², to first order, and weighted anew in some rounds until they count as
+    |Δ ln(1 + ρ z / dark)|. Where a warp of the difference angle pays, there is one: retro-reflectors want it. Samples
+    on a grid of half and difference angles (`half_vector_samples`, tables of that kind) take a hundredth of the time.
 
     **Arguments:**
 
@@ -94,8 +104,10 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     - `coefficients`: how many in all, 25 to 300 as a rule; time grows with their square and more. About two thirds make
       the shape, which channels share; the rest is colour.
     - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
-    - `dark`: z ρ [sr^-1] below which differences count less: 0.03. - `everywhere`: share of a flat weight: 0.1.
-    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4.
+    - `dark`: z ρ [sr^-1] below which differences count less: 0.05. - `everywhere`: share of a flat weight: 0.1.
+    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4, or a hundredth of the largest value where
+      that is less.
+    - `rounds`: of new weights, 4. They take most of the time; with 0 the error grows by a tenth.
     - `ridge`: 3e-6, relative to the diagonal of the normal equations.
     - `energy`: whether to keep the directional albedo at most 1, at eight angles up to 80 degrees. True: least squares
       under that constraint; a material that conserves energy is not touched.
@@ -106,7 +118,7 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     **Returns:** a `CompactFit`.
 
     **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
-    for values all below the floor; for fewer samples than functions.
+    for no value above 0; for fewer samples than functions.
 
     Source: the weights and the warp were found on measured materials, see docs/decisions.md.
     """
@@ -122,6 +134,7 @@ def fit_compact_all(
     everywhere: float = EVERYWHERE,
     floor: float = FLOOR,
     ridge: float = 3e-6,
+    rounds: int = 4,
     mixing: Any = None,
     energy: bool = True,
 ) -> list[CompactFit]:
@@ -132,16 +145,21 @@ def fit_compact_all(
     for name, value in {"dark": dark, "everywhere": everywhere, "floor": floor, "ridge": ridge}.items():
         if not value > 0:
             raise ValueError(f"{name} must be > 0, got {value}")
+    if rounds < 0:
+        raise ValueError(f"rounds must be >= 0, got {rounds}")
     with jax.enable_x64(True):
         samples = [one if isinstance(one, Samples) else half_vector_samples(_callable(one)) for one in data]
         problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
         tried = problem.resolved(ALPHAS if alphas is None else alphas)
-        best, losses = problem.best(tried)
-        found: dict[int, Choice] = {}
-        for least in set(best.tolist()):
-            materials = np.flatnonzero(best == least).tolist()
-            found |= zip(materials, problem.choices(tried[least], materials, energy=energy), strict=True)
-    return [_result(problem, k, tried[best[k]], found[k], tried, losses[:, k]) for k in range(len(samples))]
+
+    def one(k: int) -> Choice:
+        with jax.enable_x64(True):  # in this thread
+            return problem.choice(k, tried, rounds, energy=energy)
+
+    # A material is a chain of products too small for several threads; several materials are not.
+    with suited_threads(0), ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = list(pool.map(one, range(len(samples))))
+    return [_result(problem, k, one, tried) for k, one in enumerate(found)]
 
 
 def _callable(data: Any) -> Any:
@@ -151,17 +169,10 @@ def _callable(data: Any) -> Any:
     return data
 
 
-def _result(
-    problem: Problem,
-    material: int,
-    alpha: float,
-    found: Choice,
-    alphas: tuple[float, ...],
-    losses: Float[np.ndarray, " alphas"],
-) -> CompactFit:
-    """The model of one material at its α, in the default float of the caller."""
-    basis = leading_basis(alpha, problem.candidates)
+def _result(problem: Problem, material: int, found: Choice, alphas: tuple[float, ...]) -> CompactFit:
+    """The model of one material, in the default float of the caller."""
+    basis = leading_basis(found.scale, problem.candidates)
     parts = (found.coefficients, problem.mixing, problem.low[material], problem.high[material])
     model = LogLinearBRDF(basis, *map(jnp.asarray, parts), terms=found.terms)
     floored = float(problem.floored[material])
-    return CompactFit(model, alphas, losses, found.log_error, found.albedo, problem.weight.size, floored)
+    return CompactFit(model, alphas, found.losses, found.log_error, found.albedo, problem.weight.size, floored)

@@ -1,44 +1,71 @@
-"""The equations behind compact fits: many materials at the same directions, scale by scale. On the host, in float64."""
+"""Compact fits of many materials with samples at the same directions. On the host, in float64."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
+from threading import Lock
+from typing import NamedTuple
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array
 from hshjax.bases import HalfVectorBasis, IdentityWarp, LogWarp, total_order
 from hshjax.bases._half_vector import half_chart
 from hshjax.brdfs._log_linear import contrasts, leading_terms
 from hshjax.fitting._checks import check_samples
+from hshjax.fitting._compact_grid import GridRows, find_grid
+from hshjax.fitting._compact_rows import AbstractRows, ScatteredRows
 from hshjax.fitting._eliminate import eliminate
 from hshjax.fitting._furnace import LIMIT, Furnace, conserved
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
 
-DARK, EVERYWHERE, FLOOR = 0.03, 0.1, 1e-4
+DARK, EVERYWHERE, FLOOR = 0.05, 0.1, 1e-4
 """Defaults of what `fit_compact` says of them."""
+
+DARKEST = 0.01
+"""Share of a material's largest value up to which its floor goes, where that is less."""
 
 MARGIN = 0.7
 """How far ln ρ may leave the range of the data, a factor of two."""
 
-ROWS = 2**14
-"""Samples that are looked at together."""
-
 GLANCE = 3000
-"""Samples that tell one scale from another."""
+"""Scattered samples that tell one scale from another."""
 
 SPARE = 10
 """A function is chosen out of two, and of these more."""
 
+BETAS = (0.1, 0.01, 0.001, 0.0001)
+"""Scales of a lobe about wi = wo that are looked for."""
 
-class Choice(eqx.Module):
-    """The functions of one material at one α, their coefficients, and how far they are from the samples."""
+WORTH = 0.9
+"""Share of the loss without one that such a warp must get below."""
 
+SHARP = 0.005
+"""Differences of ln(1 + ρ z / dark) beyond which a sample counts by its distance, not by its square."""
+
+
+class Scale(NamedTuple):
+    """Of the two warps; None for no warp of the difference angle."""
+
+    alpha: float
+    beta: float | None = None
+
+
+class Candidate(NamedTuple):
+    """Coefficients of terms (function, component) at one scale, and their loss."""
+
+    loss: float
+    scale: Scale
     terms: np.ndarray
     coefficients: np.ndarray
+
+
+class Choice(NamedTuple):
+    """What a material's fit is made of, and how far it is from the samples."""
+
+    scale: Scale
+    terms: np.ndarray
+    coefficients: np.ndarray
+    losses: np.ndarray
     log_error: float
     albedo: float
 
@@ -63,31 +90,38 @@ class Problem:
         self.mixing = contrasts(first.channels) if mixing is None else np.asarray(mixing, np.float64)
         self.coefficients = coefficients
         self.leading = _sizes(coefficients, self.mixing.shape[0])
-        self.dark, self.ridge = dark, ridge
-        self._check(floor)
+        self.dark, self.everywhere, self.ridge = dark, everywhere, ridge
+        self._check()
         # Few samples do not tell which functions matter.
         limit = self.weight.size // 3
         self.candidates = tuple(max(size, min(2 * size + SPARE, limit)) for size in self.leading)
-        self.floored = np.mean(self.value < floor, axis=(1, 2))
-        self.value = np.maximum(self.value, floor)
+        floors = np.minimum(floor, DARKEST * self.value.max(axis=(1, 2)))[:, None, None]
+        self.floored = np.mean(self.value < floors, axis=(1, 2))
+        self.value = np.maximum(self.value, floors)
         self.target = np.log(self.value)
         self.low, self.high = self.target.min(axis=1) - MARGIN, self.target.max(axis=1) + MARGIN
 
-        self.o = np.asarray(half_chart(IdentityWarp(), jnp.asarray(self.wi), jnp.asarray(self.wo)).u)
+        chart = half_chart(IdentityWarp(), jnp.asarray(self.wi), jnp.asarray(self.wo))
+        self.o, self.o_d = np.asarray(chart.u), np.asarray(chart.v)
         theta_h = 2 * np.arcsin(np.sqrt(np.minimum(self.o / 2, 1)))
         self.cosine = (self.wi[:, 2:] + self.wo[:, 2:]) / 2
         # Off the highlight there is more to see than a grid that follows it has samples of.
         self.emphasis = (self.weight * (0.5 + 0.75 * np.sqrt(2 * theta_h / np.pi)))[:, None]
-        self.importance = self.emphasis * visibility(self.cosine * self.value, dark, everywhere)
-        self.alike = self.importance.mean(axis=2, keepdims=True)
-        self.glance = np.sort(np.random.default_rng(0).permutation(self.weight.size)[:GLANCE])
 
-    def _check(self, floor: float) -> None:
+        self.grid = find_grid(self.wi, self.wo)
+        everyone = np.arange(self.weight.size)
+        some = np.sort(np.random.default_rng(0).permutation(everyone)[:GLANCE])
+        self.glance = everyone if self.grid is not None else some
+        self._rows: dict[tuple[Scale, int], AbstractRows] = {}
+        self._furnaces: dict[Scale, Furnace] = {}
+        self._lock = Lock()
+
+    def _check(self) -> None:
         if self.mixing.ndim != 2 or self.mixing.shape[1] != self.value.shape[2]:
             raise ValueError(f"mixing must have shape (components, {self.value.shape[2]}), got {self.mixing.shape}")
         for k, value in enumerate(self.value):
-            if not np.any(value > floor):
-                raise ValueError(f"material {k} is black: no value is above the floor of {floor:g}")
+            if not np.any(value > 0):
+                raise ValueError(f"material {k} is black: no value is above 0")
         if self.weight.size < self.leading[0]:
             raise ValueError(
                 f"{self.weight.size} samples do not determine {self.leading[0]} functions "
@@ -101,81 +135,120 @@ class Problem:
             raise ValueError(f"scales are positive, at least one, got {tried}")
         return tuple(alpha for alpha in tried if alpha >= 0.1 * self.o.min()) or (max(tried),)
 
-    def best(self, alphas: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-        """The number of the best scale of every material, and the losses `(alphas, materials)` of leading functions.
+    def choice(self, k: int, alphas: Sequence[float], rounds: int, *, energy: bool) -> Choice:
+        """The fit of material k: its scales, functions of its own, coefficients; with `energy` no albedo is above 1.
 
-        The best of those, and its neighbours, are tried again with functions of each material's own.
+        Scales are told apart by the functions that lead in `total_order`; the best and its neighbours are tried with
+        functions of the material's own, in so many `rounds` of weights.
         """
-        everyone = list(range(len(self.value)))
-        losses = np.stack([self._losses(alpha, self.leading, everyone) for alpha in alphas])
-        first, again = np.argmin(losses, axis=0), np.full_like(losses, np.inf)
-        for k, alpha in enumerate(alphas):
-            near = np.flatnonzero(np.abs(first - k) <= 1).tolist()
-            again[k, near] = self._losses(alpha, self.candidates, near)
-        return np.argmin(again, axis=0), losses
+        losses = np.array([self._leading(k, Scale(alpha)) for alpha in alphas])
+        best = int(np.argmin(losses))
+        beta = self._back(k, alphas[best], losses[best])
+        near = [Scale(alpha, beta) for alpha in alphas[max(best - 1, 0) : best + 2]]
+        found = min((self._own(k, scale, self.glance, min(rounds, 1)) for scale in near), key=lambda one: one.loss)
+        found = self._own(k, found.scale, np.arange(self.weight.size), rounds)
+        return self._finished(k, found, losses, energy=energy)
 
-    def _losses(self, alpha: float, sizes: tuple[int, ...], materials: list[int]) -> np.ndarray:
-        """Σ (Δ ln(1 + ρ z / dark))², weighted, at one scale and at a glance: all channels share their weights."""
-        blocks = self._blocks(alpha, sizes, self.glance)
-        sums = np.zeros(len(materials))
-        for place, (k, equations) in enumerate(self._equations(materials, sizes, self.alike, blocks)):
-            columns = equations.columns(*equations.solution(self.coefficients, self.ridge))
-            for part, rows in blocks():
-                value, fitted, cosine = self.value[k, part], self._fitted(k, columns, rows), self.cosine[part]
-                difference = np.log((self.dark + cosine * fitted) / (self.dark + cosine * value))
-                sums[place] += np.sum(self.emphasis[part] * difference**2)
-        return sums
+    def _back(self, k: int, alpha: float, loss: float) -> float | None:
+        """The scale of a lobe about wi = wo, if there is one: a warp of θ_d must pay."""
+        tried = [beta for beta in BETAS if beta >= 0.1 * self.o_d.min()]
+        losses = [self._leading(k, Scale(alpha, beta)) for beta in tried]
+        if not losses or min(losses) > WORTH * loss:
+            return None
+        return tried[int(np.argmin(losses))]
 
-    def choices(self, alpha: float, materials: Sequence[int], *, energy: bool) -> list[Choice]:
-        """Some materials at one scale, each with functions of its own; with `energy` no albedo is above 1."""
-        blocks = self._blocks(alpha, self.candidates, np.arange(self.weight.size))
-        furnace, found = Furnace(leading_basis(alpha, self.candidates)), []
-        for k, equations in self._equations(materials, self.candidates, self.importance, blocks):
-            terms, coefficients = equations.solution(self.coefficients, self.ridge)
-            columns, bounds = equations.columns(terms, coefficients), (self.low[k], self.high[k])
-            albedo = furnace.albedo(columns @ self.mixing, *bounds).max()
-            if energy and albedo > LIMIT:
-                matrix = equations.matrix(terms, self.ridge)
-                coefficients = conserved(furnace, matrix, terms, coefficients, self.mixing, *bounds)
-                columns = equations.columns(terms, coefficients)
-                albedo = furnace.albedo(columns @ self.mixing, *bounds).max()
-            error = 0.0
-            for part, rows in blocks():
-                value, fitted = self.value[k, part], self._fitted(k, columns, rows)
-                for z in (self.wi[part, 2:], self.wo[part, 2:]):
-                    error += np.sum(self.weight[part, None] * np.abs(np.log1p(z * fitted) - np.log1p(z * value)))
-            mean = float(error / (2 * self.weight.sum() * self.value.shape[2]))
-            found.append(Choice(terms, coefficients, mean, float(albedo)))
-        return found
+    def _leading(self, k: int, scale: Scale) -> float:
+        """The loss of the functions that lead, at a glance, all channels under the same weights."""
+        equations = self._equations(k, scale, self.glance, self._weight(k, self.glance).mean(axis=1, keepdims=True))
+        terms = leading_terms(self.leading)
+        return self._loss(k, self.glance, self._logarithm(k, scale, self.glance, terms, equations.solve(terms)))
 
-    def _fitted(self, material: int, columns: np.ndarray, rows: Array) -> np.ndarray:
-        logarithm = np.asarray(rows).T @ (columns @ self.mixing)
-        return np.exp(np.clip(logarithm, self.low[material], self.high[material]))
+    def _own(self, k: int, scale: Scale, part: np.ndarray, rounds: int) -> Candidate:
+        """The best of some rounds of functions of the material's own, reweighted by how far the last round was off."""
+        tried, weight = [], self._weight(k, part)
+        for _ in range(rounds + 1):
+            terms, coefficients = self._equations(k, scale, part, weight).choose(self.coefficients)
+            logarithm = self._logarithm(k, scale, part, terms, coefficients)
+            tried.append(Candidate(self._loss(k, part, logarithm), scale, terms, coefficients))
+            weight = self._weight(k, part, logarithm)
+        return min(tried, key=lambda one: one.loss)
 
-    def _equations(self, materials, sizes, weight: np.ndarray, blocks) -> Iterator[tuple[int, "_Equations"]]:
-        found = {k: _Equations(self.mixing, sizes) for k in materials}
-        for part, rows in blocks():
-            for k, one in found.items():
-                one.add(rows, weight[k, part], self.target[k, part])
-        yield from found.items()
+    def _equations(self, k: int, scale: Scale, part: np.ndarray, weight: np.ndarray) -> "_Equations":
+        rows = self.rows(scale, part)
+        target = self.target[k, part]
+        return _Equations(rows.gram(weight), rows.moment(weight * target), self.mixing, self.candidates, self.ridge)
 
-    def _blocks(self, alpha, sizes, samples: np.ndarray) -> Callable[[], Iterator[tuple[np.ndarray, Array]]]:
-        """Parts of the samples with functions `(functions, samples)`, as often as asked for; a single part is kept."""
-        basis = leading_basis(alpha, sizes)
-        parts = [samples[start : start + ROWS] for start in range(0, samples.size, ROWS)]
+    def rows(self, scale: Scale, part: np.ndarray) -> AbstractRows:
+        """Candidate functions at some samples; kept, for all materials."""
+        with self._lock:
+            key = scale, part.size
+            if key not in self._rows:
+                basis, pairs = leading_basis(scale, self.candidates), (self.wi[part], self.wo[part])
+                self._rows[key] = ScatteredRows(basis, *pairs) if self.grid is None else GridRows(basis, self.grid)
+            return self._rows[key]
 
-        def rows(part):
-            return basis(jnp.asarray(self.wi[part]), jnp.asarray(self.wo[part])).T
+    def furnace(self, scale: Scale) -> Furnace:
+        """Light from everywhere on candidate functions; kept, for all materials."""
+        with self._lock:
+            if scale not in self._furnaces:
+                self._furnaces[scale] = Furnace(leading_basis(scale, self.candidates))
+            return self._furnaces[scale]
 
-        if len(parts) == 1:
-            kept = [(parts[0], rows(parts[0]))]
-            return lambda: iter(kept)
-        return lambda: ((part, rows(part)) for part in parts)
+    def _logarithm(self, k, scale, part, terms, coefficients) -> np.ndarray:
+        """ln ρ of a fit, within its bounds, `(n, channels)`."""
+        logarithm = self.rows(scale, part).evaluate(self._columns(terms, coefficients))
+        return np.clip(logarithm, self.low[k], self.high[k])
+
+    def _columns(self, terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients of every candidate function in every channel."""
+        found = np.zeros((self.candidates[0], len(self.mixing)))
+        found[terms[:, 0], terms[:, 1]] = coefficients
+        return found @ self.mixing
+
+    def _loss(self, k: int, part: np.ndarray, logarithm: np.ndarray) -> float:
+        """Σ |Δ ln(1 + ρ z)|, with emphasis, z the mean of both cosines."""
+        cosine = self.cosine[part]
+        difference = np.log1p(cosine * np.exp(logarithm)) - np.log1p(cosine * self.value[k, part])
+        return float(np.sum(self.emphasis[part] * np.abs(difference)))
+
+    def _weight(self, k: int, part: np.ndarray, logarithm: np.ndarray | None = None) -> np.ndarray:
+        """Squared weights of differences in ln ρ, `(n, channels)`.
+
+        At first what makes them count as (Δ ln(1 + ρ z / dark))², to first order; of a fit, what makes its own count as
+        |Δ ln(1 + ρ z / dark)|, exactly, beyond `SHARP`.
+        """
+        seen = self.cosine[part] * self.value[k, part]
+        if logarithm is None:
+            return self.emphasis[part] * visibility(seen, self.dark, self.everywhere)
+        off = logarithm - self.target[k, part]
+        difference = np.log((self.dark + self.cosine[part] * np.exp(logarithm)) / (self.dark + seen))
+        near = np.abs(off) < 1e-6
+        slope = np.where(near, seen / (self.dark + seen), difference / np.where(near, 1, off))
+        return self.emphasis[part] * (slope**2 / np.hypot(1, difference / SHARP) + SHARP * self.everywhere**2)
+
+    def _finished(self, k: int, found: Candidate, losses: np.ndarray, *, energy: bool) -> Choice:
+        """With the albedo held below 1, if asked for, and what is to be said of the fit."""
+        everyone = np.arange(self.weight.size)
+        furnace = self.furnace(found.scale)
+        bounds, terms, coefficients = (self.low[k], self.high[k]), found.terms, found.coefficients
+        albedo = furnace.albedo(self._columns(terms, coefficients), *bounds).max()
+        if energy and albedo > LIMIT:
+            matrix = self._equations(k, found.scale, everyone, self._weight(k, everyone)).matrix(terms)
+            coefficients = conserved(furnace, matrix, terms, coefficients, self.mixing, *bounds)
+            albedo = furnace.albedo(self._columns(terms, coefficients), *bounds).max()
+        logarithm = self._logarithm(k, found.scale, everyone, terms, coefficients)
+        errors = [
+            np.abs(np.log1p(z * np.exp(logarithm)) - np.log1p(z * self.value[k]))
+            for z in (self.wi[:, 2:], self.wo[:, 2:])
+        ]
+        mean = np.average(np.mean(errors, axis=(0, 2)), weights=self.weight)
+        return Choice(found.scale, terms, coefficients, losses, float(mean), float(albedo))
 
 
-def leading_basis(alpha: float, sizes: Sequence[int]) -> HalfVectorBasis:
+def leading_basis(scale: Scale, sizes: Sequence[int]) -> HalfVectorBasis:
     """The functions that components of these sizes need, the first of which is the largest, at one scale."""
-    return HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(alpha)))
+    back = IdentityWarp() if scale.beta is None else LogWarp(jnp.asarray(scale.beta))
+    return HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(scale.alpha)), back)
 
 
 def visibility(seen: np.ndarray, dark: float, everywhere: float) -> np.ndarray:
@@ -196,45 +269,32 @@ def _sizes(coefficients: int, components: int) -> tuple[int, ...]:
 class _Equations:
     """Weighted normal equations of all components at once; each channel has its own weights, or all have the same."""
 
-    def __init__(self, mixing: np.ndarray, sizes: tuple[int, ...]):
-        self.mixing, self.sizes = mixing, sizes
-        self.gram: Any = 0.0
-        self.moment: Any = 0.0
-        self.terms = leading_terms(sizes)
-
-    def add(self, rows: Array, weight: np.ndarray, target: np.ndarray) -> None:
-        self.gram = self.gram + np.asarray(_gram(rows, jnp.asarray(weight.T)))
-        self.moment = self.moment + (np.asarray(rows) @ (weight * target)).T
-
-    def _system(self) -> np.ndarray:
-        products = self.mixing[:, None] * self.mixing[None]
-        if len(self.gram) == 1:
+    def __init__(self, gram: np.ndarray, moment: np.ndarray, mixing: np.ndarray, sizes: tuple[int, ...], ridge: float):
+        products = mixing[:, None] * mixing[None]
+        if len(gram) == 1:
             products = products.sum(axis=2, keepdims=True)
-        return np.block([
-            [np.tensordot(products[i, j], self.gram[:, :m, :n], 1) for j, n in enumerate(self.sizes)]
-            for i, m in enumerate(self.sizes)
+        self.terms, self.ridge = leading_terms(sizes), ridge
+        self.system = np.block([
+            [np.tensordot(products[i, j], gram[:, :m, :n], 1) for j, n in enumerate(sizes)]
+            for i, m in enumerate(sizes)
         ])  # fmt: skip
+        self.moment = np.concatenate([(a @ moment)[:n] for a, n in zip(mixing, sizes, strict=True)])
+        self.start = np.cumsum([0, *sizes[:-1]])
 
-    def matrix(self, terms: np.ndarray, ridge: float) -> np.ndarray:
+    def _place(self, terms: np.ndarray) -> np.ndarray:
+        return self.start[terms[:, 1]] + terms[:, 0]
+
+    def matrix(self, terms: np.ndarray) -> np.ndarray:
         """The normal matrix of some terms, with the ridge."""
-        place = np.cumsum([0, *self.sizes[:-1]])[terms[:, 1]] + terms[:, 0]
-        found = self._system()[np.ix_(place, place)]
-        return found + ridge * np.diag(np.diag(found))
+        place = self._place(terms)
+        found = self.system[np.ix_(place, place)]
+        return found + self.ridge * np.diag(np.diag(found))
 
-    def solution(self, count: int, ridge: float) -> tuple[np.ndarray, np.ndarray]:
-        """The `count` terms (function, component) that matter most, and their coefficients."""
-        moment = np.concatenate([(a @ self.moment)[:n] for a, n in zip(self.mixing, self.sizes, strict=True)])
-        kept, coefficients = eliminate(self._system(), moment, count, ridge=ridge)
+    def solve(self, terms: np.ndarray) -> np.ndarray:
+        """Coefficients of some terms (function, component)."""
+        return np.linalg.solve(self.matrix(terms), self.moment[self._place(terms)])
+
+    def choose(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """The `count` terms that matter most, and their coefficients."""
+        kept, coefficients = eliminate(self.system, self.moment, count, ridge=self.ridge)
         return self.terms[kept], coefficients
-
-    def columns(self, terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients `(functions, components)`, 0 where there is no term."""
-        found = np.zeros((self.sizes[0], len(self.sizes)))
-        found[terms[:, 0], terms[:, 1]] = coefficients
-        return found
-
-
-@jax.jit
-def _gram(rows: Array, weight: Array) -> Array:
-    """Σ_s w_s B_as B_bs for the weights of each channel, `(weights, functions, functions)`, one after the other."""
-    return jax.lax.map(lambda one: (rows * one[None]) @ rows.T, weight)

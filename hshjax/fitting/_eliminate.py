@@ -2,7 +2,7 @@
 
 import numpy as np
 
-SHARE = 0.05
+SHARE = 0.1
 """Of the unknowns that are left, how many leave at a time."""
 
 
@@ -21,7 +21,7 @@ def eliminate(matrix: np.ndarray, moment: np.ndarray, count: int, *, ridge: floa
     moment = scale * moment
     kept = np.arange(scale.size)
     if count < kept.size:
-        inverse = np.linalg.inv(matrix)
+        inverse = _inverse(matrix)
         value = inverse @ moment
         while kept.size > count:
             order = np.argsort(value**2 / np.diag(inverse), kind="stable")
@@ -32,3 +32,18 @@ def eliminate(matrix: np.ndarray, moment: np.ndarray, count: int, *, ridge: floa
             inverse = inverse[np.ix_(stay, stay)] - inverse[np.ix_(stay, out)] @ update
             kept = kept[stay]
     return kept, scale[kept] * np.linalg.solve(matrix[np.ix_(kept, kept)], moment[kept])
+
+
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a positive definite matrix, in half the time of a general one.
+
+    **Raises:** ValueError where rounding has made it indefinite.
+    """
+    from scipy.linalg import get_lapack_funcs  # here, to keep `import hshjax` cheap
+
+    factor, invert = get_lapack_funcs(("potrf", "potri"), (matrix,))
+    root, failed = factor(matrix, lower=1)
+    if failed:
+        raise ValueError(f"normal equations are not positive definite at unknown {failed} of {len(matrix)}")
+    found = np.tril(invert(root, lower=1)[0])
+    return found + np.tril(found, -1).T

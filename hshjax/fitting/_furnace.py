@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax.bases import HalfVectorBasis
+from hshjax.fitting._least_distance import least_distance
 from hshjax.geometry import direction
 
 POLAR = (0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 76.0, 80.0)
@@ -56,15 +57,19 @@ class Furnace:
         """`(angles, channels)`, of coefficients `(functions, channels)` and bounds of ln ρ."""
         return np.einsum("an,anc->ac", self.weight, np.exp(np.clip(self.functions @ columns, low, high)))
 
-    def slope(
-        self, columns: np.ndarray, low: np.ndarray, high: np.ndarray, mixing: np.ndarray, terms: np.ndarray
-    ) -> np.ndarray:
-        """Derivatives of the albedos in coefficients of terms (function, component), `(angles, channels, terms)`."""
-        logarithm = self.functions @ columns
-        free = (logarithm > low) & (logarithm < high)
-        value = np.where(free, self.weight[..., None] * np.exp(np.clip(logarithm, low, high)), 0)
-        inner = np.einsum("anc,anf->acf", value, self.functions, optimize=True)
-        return inner[..., terms[:, 0]] * mixing[terms[:, 1]].T
+    def logarithm(
+        self, columns: np.ndarray, low: np.ndarray, mixing: np.ndarray, terms: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """ln of albedos without the upper bounds, `(angles, channels)`, and its derivatives in coefficients of terms
+        (function, component), `(angles, channels, terms)`. It is convex: a sum of exponentials.
+        """
+        exponent = np.maximum(self.functions @ columns, low)
+        largest = exponent.max(axis=1, keepdims=True)
+        value = self.weight[..., None] * np.exp(exponent - largest)
+        total = value.sum(axis=1)
+        inner = np.einsum("anc,anf->acf", np.where(exponent > low, value, 0), self.functions, optimize=True)
+        slope = inner[..., terms[:, 0]] * mixing[terms[:, 1]].T / total[..., None]
+        return largest[:, 0] + np.log(total), slope
 
 
 def conserved(
@@ -78,23 +83,18 @@ def conserved(
 ) -> np.ndarray:
     """The coefficients nearest to some, in the metric of their normal matrix, with no albedo of `Furnace` above 1.
 
-    Albedos are linearised where the last step ended, and the quadratic problem solved in its dual, until they hold; at
-    most `STEPS` times. Where bounds cut the logarithm off a coefficient has no say, so look at the albedo that is left.
+    Logarithms of albedos, which are convex, are linearised where the last step ended, and the nearest point is taken
+    under those inequalities; until the albedos hold, at most `STEPS` times.
     """
-    from scipy.optimize import nnls
-
     columns = np.zeros((furnace.functions.shape[-1], mixing.shape[0]))
-    start, found = coefficients, coefficients
+    root, found = np.linalg.cholesky(matrix).T, coefficients
     for _ in range(STEPS):
         columns[terms[:, 0], terms[:, 1]] = found
-        albedo = furnace.albedo(columns @ mixing, low, high)
-        if albedo.max() <= LIMIT:
+        if furnace.albedo(columns @ mixing, low, high).max() <= LIMIT:
             break
-        slope = furnace.slope(columns @ mixing, low, high, mixing, terms).reshape(albedo.size, -1)
-        # A hair below the limit: iterates come from outside, for albedos are convex in the coefficients.
-        room = LIMIT - 1e-4 - albedo.ravel() + slope @ (found - start)
-        towards = np.linalg.solve(matrix, slope.T)
-        dual = slope @ towards
-        root = np.linalg.cholesky(dual + 1e-10 * np.trace(dual) * np.eye(len(dual)))
-        found = start - towards @ nnls(root.T, -np.linalg.solve(root, room))[0]
+        logarithm, slope = furnace.logarithm(columns @ mixing, low, mixing, terms)
+        slope = slope.reshape(logarithm.size, -1)
+        # A hair below the limit: iterates come from outside, for linearised albedos are too small.
+        room = np.log(LIMIT - 1e-4) - logarithm.ravel() + slope @ found
+        found = least_distance(root, coefficients, -slope, -room).point
     return found

@@ -128,7 +128,7 @@ def test_grazing_angles_do_not_run_away():
 def test_blocks_change_nothing(monkeypatch):
     samples = plastic()
     whole = fit_compact(samples, 25)
-    monkeypatch.setattr("hshjax.fitting._compact_equations.ROWS", 100)
+    monkeypatch.setattr("hshjax.fitting._compact_rows.BLOCK", 100)
     parts = fit_compact(samples, 25)
     np.testing.assert_allclose(parts.losses, whole.losses, rtol=1e-6)
     np.testing.assert_allclose(parts.model.coefficients, whole.model.coefficients, rtol=1e-4, atol=1e-6)

@@ -1,0 +1,85 @@
+"""Samples on a grid: found as such, and their sums those of the same samples one by one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from hshjax.bases import HalfVectorBasis, IdentityWarp, LogWarp
+from hshjax.fitting import half_vector_samples
+from hshjax.fitting._compact_grid import GridRows, find_grid
+from hshjax.fitting._compact_rows import ScatteredRows
+from hshjax.geometry import from_half_difference
+from tests.helpers import X64, directions
+
+pytestmark = pytest.mark.skipif(not X64, reason="found on the host in float64, whatever the leg")
+
+SHAPE = (24, 10, 4)
+
+
+def pairs():
+    samples = half_vector_samples(lambda wi, wo: wi[:, 2], shape=SHAPE)
+    return np.asarray(samples.wi), np.asarray(samples.wo)
+
+
+def test_a_grid_is_found():
+    wi, wo = pairs()
+    grid = find_grid(wi, wo)
+    assert grid is not None
+    assert grid.shape == SHAPE
+    assert np.unique(grid.cell).size == len(wi)
+
+
+def test_a_grid_is_found_in_any_order_and_turned():
+    """As MERL files have it: all φ_d in [0, π), which cos 2φ_d folds; turned about the normal, with a pair twice."""
+    theta_h, theta_d, phi = (
+        part.ravel()
+        for part in np.meshgrid(np.linspace(0, 1, 9) ** 2, np.linspace(0, 0.5, 6), np.arange(8) * np.pi / 8)
+    )
+    wi, wo = (np.asarray(w) for w in from_half_difference(*map(jnp.asarray, (theta_h, theta_d, phi))))
+    turn = np.array([[0.6, -0.8, 0], [0.8, 0.6, 0], [0, 0, 1]])
+    order = np.r_[np.random.default_rng(0).permutation(len(wi)), 5]
+    grid = find_grid((wi @ turn)[order], (wo @ turn)[order])
+    assert grid is not None
+    # At θ_h = 0 and at θ_d = 0 there is no φ_d: both have a level of it for themselves at most.
+    assert grid.shape[:2] == (9, 6)
+    assert grid.shape[2] <= 6
+    assert grid.cell[-1] == grid.cell[np.flatnonzero(order[:-1] == 5)[0]]
+
+
+def test_scattered_pairs_are_none():
+    assert find_grid(np.asarray(directions(0, 500)), np.asarray(directions(1, 500))) is None
+
+
+@pytest.mark.parametrize("back", [IdentityWarp(), LogWarp(jnp.asarray(0.01))], ids=["plain", "back"])
+def test_sums_are_those_of_rows(back):
+    """Gram, moment, evaluation; a warped θ_d; several sets of weights."""
+    wi, wo = pairs()
+    basis = HalfVectorBasis(60, LogWarp(jnp.asarray(1e-3)), back)
+    grid = find_grid(wi, wo)
+    assert grid is not None
+    on_grid, one_by_one = GridRows(basis, grid), ScatteredRows(basis, wi, wo)
+    rng = np.random.default_rng(0)
+    weight, columns = rng.uniform(size=(len(wi), 2)), rng.normal(size=(60, 3))
+    for got, expected in (
+        (on_grid.gram(weight), one_by_one.gram(weight)),
+        (on_grid.moment(weight), one_by_one.moment(weight)),
+        (on_grid.evaluate(columns), one_by_one.evaluate(columns)),
+    ):
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-10 * np.abs(expected).max())
+    rows = np.asarray(basis(jnp.asarray(wi), jnp.asarray(wo)))
+    np.testing.assert_allclose(one_by_one.gram(weight)[1], rows.T @ (weight[:, 1:] * rows), rtol=1e-9, atol=1e-9)
+
+
+def test_sines_have_no_place():
+    grid = find_grid(*pairs())
+    assert grid is not None
+    with pytest.raises(ValueError, match="cannot tell sines"):
+        GridRows(HalfVectorBasis([(1, 2, -2)]), grid)
+
+
+def test_float32_directions_are_scattered():
+    """Half angles near the mirror direction are not levels there; and nothing is lost but time."""
+    wi, wo = (w.astype(np.float32) for w in pairs())
+    with jax.enable_x64(True):
+        assert find_grid(wi.astype(np.float64), wo.astype(np.float64)) is None
