@@ -1,5 +1,6 @@
 """Reciprocal functions of the half vector and the difference vector: compact where a material has a highlight."""
 
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -27,11 +28,16 @@ def total_order(count: int, *, bilateral: bool = True, cost: tuple[float, float,
     A shorter table is a prefix of a longer one. The default costs suit measured isotropic materials: a highlight takes
     high degrees in the half angle, little depends on the azimuth.
     """
+    return first_modes(count, lambda limit: _below(limit, bilateral, cost))
+
+
+def first_modes(count: int, below: Callable[[float], Iterable[tuple]]) -> tuple:
+    """The first modes in the order of their cost; `below(limit)` is of those up to one, behind what sorts them."""
     if count < 1:
         raise ValueError(f"a basis has at least one function, got a count of {count}")
     limit = 2.0
     while True:
-        found = sorted(_below(limit, bilateral, cost))
+        found = sorted(below(limit))
         if len(found) >= count:
             return tuple(mode for *_, mode in found[:count])
         limit *= 1.5
@@ -50,17 +56,22 @@ def _below(limit: float, bilateral: bool, cost: tuple[float, float, float]):
 def _table(functions: Any) -> tuple[Mode, ...]:
     if isinstance(functions, int | np.integer):
         return total_order(int(functions))
-    table = []
+    functions = tuple(functions)
     for mode in functions:
         a, n, m = mode if len(mode) == 3 else (0, 0, 1)
         if m % 2 or n % 2 or not (2 * a >= abs(m) <= n):
             raise ValueError(f"functions are (a, n, m), n and m even, |m| <= n and |m| <= 2a, got {mode}")
-        table.append((int(a), int(n), int(m)))
+    return integers(functions)
+
+
+def integers(functions: tuple) -> tuple:
+    """A mode table of integers, of one function at least, each once."""
+    table = tuple(tuple(map(int, mode)) for mode in functions)
     if not table:
         raise ValueError("a basis has at least one function, got an empty table")
     if len(set(table)) < len(table):
         raise ValueError("a function stands twice in the table")
-    return tuple(table)
+    return table
 
 
 class HalfVectorBasis(AbstractPairBasis):
@@ -147,11 +158,15 @@ def function_layout(functions: tuple[Mode, ...]) -> Layout:
     p = np.abs(m) // 2
     j, k = a - p, (n - 2 * p) // 2
 
-    def tables(degree):
-        counts = [int(max(degree[p == q], default=0)) + 1 for q in range(p.max() + 1)]
-        return radial_tables(counts, lambda q: np.sqrt(2 * q + 1), lambda q, size: jacobi_matrix(0, 2 * q, size))
+    norm = np.where(m == 0, 1, np.sqrt(2))
+    return Layout(p, j, k, (m < 0).astype(np.int32), norm, circle_tables(p, j, 2), circle_tables(p, k, 2))
 
-    return Layout(p, j, k, (m < 0).astype(np.int32), np.where(m == 0, 1, np.sqrt(2)), tables(j), tables(k))
+
+def circle_tables(order: np.ndarray, degree: np.ndarray, step: int) -> RadialTables:
+    """Polynomials in 2u - 1 up to some degree at the azimuthal orders step · order that there are, orthonormal for
+    u^(step · order) du: circle polynomials of radius sqrt(u) without that power of it."""
+    counts = [int(max(degree[order == q], default=0)) + 1 for q in range(order.max() + 1)]
+    return radial_tables(counts, lambda q: np.sqrt(step * q + 1), lambda q, size: jacobi_matrix(0, step * q, size))
 
 
 def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
@@ -178,6 +193,25 @@ def half_chart(
     difference_warp: AbstractWarp = UNWARPED,
 ) -> HalfChart:
     """Smooth wherever both directions lie above the horizon, without an angle: as smooth as the warps."""
+    o_h, o_d, (px, py), (qx, qy) = circles(wi, wo)
+    ratio_h, ratio_d = warp.ratio(o_h), difference_warp.ratio(o_d)
+    re, im = qx * px + qy * py, qy * px - qx * py  # relative to the azimuth of h
+    scale = ratio_h * ratio_d
+    return HalfChart(o_h * ratio_h, o_d * ratio_d, (scale * (re * re - im * im), scale * 2 * re * im))
+
+
+class Circles(NamedTuple):
+    """o_h = 1 - cos θ_h, o_d = 1 - cos θ_d, and the half vector and the difference vector, turned the short way from
+    there to the pole, on the equal-area disk: (x, y) of sqrt(o_h) exp(iφ_h) and sqrt(o_d) exp(i(φ_h + φ_d))."""
+
+    o_h: Float[Array, " pairs"]
+    o_d: Float[Array, " pairs"]
+    half: tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
+    difference: tuple[Float[Array, " pairs"], Float[Array, " pairs"]]
+
+
+def circles(wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]) -> Circles:
+    """Smooth wherever both directions lie above the horizon; a swap of them changes the sign of the difference."""
     total, half = wi + wo, (wi - wo) / 2
     square = jnp.sum(total * total, axis=1)
     proper = square > 0  # wi = -wo, on the horizon, has no half vector
@@ -185,12 +219,9 @@ def half_chart(
     hx, hy, hz = (total[:, k] / length for k in range(3))
     hz = jnp.where(proper, hz, 1)
     cos_d = jnp.where(proper, length / 2, 0)
-    o = (hx * hx + hy * hy) / (1 + hz)  # 1 - cos θ_h without its cancellation
-    o_d = jnp.sum(half * half, axis=1) / (1 + cos_d)  # 1 - cos θ_d
-    # The difference vector, sin θ_d long, turned the short way from h to the pole; then relative to the azimuth of h.
+    # Without the cancellation of 1 - cos.
+    o_h, o_d = (hx * hx + hy * hy) / (1 + hz), jnp.sum(half * half, axis=1) / (1 + cos_d)
     lift = half[:, 2] / (1 + hz)
-    dx, dy = half[:, 0] - lift * hx, half[:, 1] - lift * hy
-    re, im = dx * hx + dy * hy, dy * hx - dx * hy
-    ratio, ratio_d = warp.ratio(o), difference_warp.ratio(o_d)
-    scale = ratio * ratio_d / ((1 + hz) * (1 + cos_d))
-    return HalfChart(o * ratio, o_d * ratio_d, (scale * (re * re - im * im), scale * 2 * re * im))
+    scale_h, scale_d = 1 / jnp.sqrt(1 + hz), 1 / jnp.sqrt(1 + cos_d)
+    difference = scale_d * (half[:, 0] - lift * hx), scale_d * (half[:, 1] - lift * hy)
+    return Circles(o_h, o_d, (scale_h * hx, scale_h * hy), difference)
