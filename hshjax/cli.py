@@ -288,12 +288,12 @@ def _read(file: Path) -> tuple:
 
 def _series(brdf) -> dict[str, str]:
     """What there is to say of a `LogLinearBRDF`."""
-    from hshjax.bases import HalfVectorBasis
+    from hshjax.bases import AnisotropicHalfVectorBasis, HalfVectorBasis
     from hshjax.bases._warp import AbstractScaledWarp
 
     parts = [str(int((brdf.terms[:, 1] == j).sum())) for j in range(brdf.mixing.shape[0])]
     facts = {"coefficients": f"{brdf.count}: {' + '.join(parts)}, of {brdf.basis.count} functions each"}
-    if isinstance(brdf.basis, HalfVectorBasis):
+    if isinstance(brdf.basis, HalfVectorBasis | AnisotropicHalfVectorBasis):
         warps = {"scale of the warp": brdf.basis.warp, "scale of the difference warp": brdf.basis.difference_warp}
         for name, warp in warps.items():
             if isinstance(warp, AbstractScaledWarp):

@@ -1,5 +1,9 @@
 """Functions of a direction, and of a pair of directions."""
 
+from hshjax.bases._anisotropic import (
+    AnisotropicHalfVectorBasis as AnisotropicHalfVectorBasis,
+    anisotropic_order as anisotropic_order,
+)
 from hshjax.bases._base import AbstractBasis as AbstractBasis
 from hshjax.bases._convert import (
     LowRank as LowRank,

@@ -5,8 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, SphericalHarmonics, TensorBasis, Zernike
-from hshjax.brdfs import LinearBRDF
+from hshjax.bases import (
+    HSH,
+    SHR,
+    AnisotropicHalfVectorBasis,
+    HalfVectorBasis,
+    HelmholtzBasis,
+    IsotropicBasis,
+    RationalWarp,
+    SphericalHarmonics,
+    TensorBasis,
+    Zernike,
+)
+from hshjax.brdfs import LinearBRDF, LogLinearBRDF
 from hshjax.io import load_model, save_model
 from tests.brdfs.cases import ALL_BRDFS
 from tests.helpers import DTYPE, directions
@@ -26,6 +37,8 @@ MODELS = {
     "linear_isotropic": linear(IsotropicBasis(SHR(3)), channels=1),
     "linear_lopsided": linear(IsotropicBasis(HSH(3), bilateral=False)),
     "linear_spherical": linear(HelmholtzBasis(SphericalHarmonics(1))),
+    "linear_half_vector": linear(HalfVectorBasis(9, *(RationalWarp(jnp.asarray(a, DTYPE)) for a in (0.02, 0.1)))),
+    "log_linear_anisotropic": LogLinearBRDF(AnisotropicHalfVectorBasis(9), list(jnp.ones((3, 9), DTYPE) / 9)),
     "linear_and_analytic": linear(IsotropicBasis(HSH(2))) + 0.5 * ALL_BRDFS["lambert_rgb"],
 }
 
