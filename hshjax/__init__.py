@@ -34,6 +34,7 @@ from hshjax.bases import (
     total_order as total_order,
 )
 from hshjax.brdfs import (
+    ABC as ABC,
     GGX as GGX,
     AbstractBRDF as AbstractBRDF,
     AbstractFresnel as AbstractFresnel,

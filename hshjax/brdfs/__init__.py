@@ -13,7 +13,7 @@ from hshjax.brdfs._fresnel import (
 from hshjax.brdfs._linear import LinearBRDF as LinearBRDF
 from hshjax.brdfs._lobes import BlinnPhong as BlinnPhong, Ward as Ward
 from hshjax.brdfs._log_linear import LogLinearBRDF as LogLinearBRDF, contrasts as contrasts
-from hshjax.brdfs._microfacet import GGX as GGX, CookTorrance as CookTorrance
+from hshjax.brdfs._microfacet import ABC as ABC, GGX as GGX, CookTorrance as CookTorrance
 from hshjax.brdfs._positive import (
     AbstractPositiveBRDF as AbstractPositiveBRDF,
     ExpBRDF as ExpBRDF,

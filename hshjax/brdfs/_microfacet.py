@@ -1,6 +1,6 @@
-"""Microfacet BRDFs: Cook-Torrance (Beckmann facets, V-cavity shadowing) and GGX (Smith shadowing).
+"""Microfacet BRDFs: Cook-Torrance (Beckmann facets) and ABC, both with V-cavity shadowing, and GGX (Smith shadowing).
 
-Both are F(h·wo) D(h) G(wi, wo) / (4 z_i z_o) with ∫ D z_h dω_h = 1. With s = wi + wo the half vector is s/|s| and
+All are F(h·wo) D(h) G(wi, wo) / (4 z_i z_o), with ∫ D z_h dω_h = 1 but for ABC. With s = wi + wo the half vector is s/|s| and
 h·wi = h·wo = |s|/2; tan²θ_h = (s_x² + s_y²)/s_z² is free of the cancellation in 1 - z_h². G and the denominator are
 written as one factor, which stays finite where G and z vanish together.
 """
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from hshjax._fields import bounded
 from hshjax._typing import Array, Float, Real
 from hshjax.brdfs._base import AbstractBRDF, cosines, per_channel
-from hshjax.brdfs._fresnel import AbstractFresnel, ConstantFresnel
+from hshjax.brdfs._fresnel import AbstractFresnel, ConstantFresnel, DielectricFresnel
 from hshjax.brdfs._parameters import check_parameters
 from hshjax.geometry import half_vector
 
@@ -44,11 +44,8 @@ class CookTorrance(AbstractBRDF):
         zi, zo, _ = cosines(wi, wo)
         s = wi + wo
         length = jnp.sqrt(jnp.sum(s * s, axis=-1, keepdims=True))
-        # G / (4 zi zo): min(zi, zo) of the masking terms cancels against the denominator. One division at a time:
-        # second derivatives of 1 / (|s|² z) overflow in float32 at z = 1e-6, and poison even the branch where G = 1.
-        shadowing = jnp.minimum(1 / (4 * zi * zo), s[..., 2:] / length / length / jnp.maximum(zi, zo))
         fresnel = self.fresnel(length[..., 0] / 2)
-        lobe = fresnel * beckmann(s, self.slope, self.slope) * shadowing
+        lobe = fresnel * beckmann(s, self.slope, self.slope) * v_cavities(s, length, zi, zo)
         return per_channel(self.diffuse, wi) / jnp.pi + per_channel(self.specular, wi) * lobe
 
 
@@ -87,6 +84,54 @@ class GGX(AbstractBRDF):
             shadowing = 1 / ((zi + ri) * (zo + ro))
         lobe = fresnel * trowbridge_reitz(half_vector(wi, wo), self.roughness) * shadowing
         return per_channel(self.specular, wi) * lobe
+
+
+class ABC(AbstractBRDF):
+    """ρ = diffuse / π + amplitude F S G / (π z_i z_o), S = (1 + sharpness (1 - z_h))^-exponent: the ABC model.
+
+    S has a tail of any weight: a power of 1 - z_h, where Beckmann's ends and GGX's is the fourth power of tan θ_h. G
+    is that of V-cavities. S is not normalised: an amplitude beyond what the lobe's width allows reflects more than it
+    receives.
+
+    - `diffuse`: scalar or `(channels,)`, dimensionless.
+    - `amplitude`: scalar or `(channels,)`, A of the source, dimensionless.
+    - `sharpness`: scalar B, dimensionless; the lobe is sqrt(2 / B) [radians] wide in θ_h.
+    - `exponent`: scalar C, dimensionless.
+    - `fresnel`: F, see `DielectricFresnel` (default, of index 1.5), `ConstantFresnel`, `SchlickFresnel`,
+      `ConductorFresnel`.
+
+    Source: Löw, Kronander, Ynnerman, Unger, BRDF Models for Accurate and Efficient Rendering of Glossy Surfaces, ACM
+    TOG 31(1), 2012, the microfacet variant. The factor 1 / π, Cook and Torrance's own, is that of the parameters
+    published with it, see docs/decisions.md.
+
+    **Raises:** ValueError for parameters of other shapes.
+    """
+
+    diffuse: Real = bounded(0.0, 1.0, amplitude=True)
+    amplitude: Real = bounded(0.0, float("inf"), amplitude=True)
+    sharpness: Float[Array, ""] = bounded(0.0, 1e8, search=(3.0, 1e6), logarithmic=True)
+    exponent: Float[Array, ""] = bounded(0.0, 10.0, search=(0.3, 3.0), logarithmic=True)
+    fresnel: AbstractFresnel = eqx.field(default_factory=lambda: DielectricFresnel(1.5))
+
+    def __check_init__(self):
+        check_parameters(self, spectra=("diffuse", "amplitude"), scalars=("sharpness", "exponent"))
+
+    def formula(self, wi, wo):
+        zi, zo, _ = cosines(wi, wo)
+        s = wi + wo
+        length = jnp.sqrt(jnp.sum(s * s, axis=-1, keepdims=True))
+        h = s / length
+        o = jnp.sum(h[..., :2] ** 2, axis=-1, keepdims=True) / (1 + h[..., 2:])  # 1 - z_h without its cancellation
+        tail = jnp.exp(-self.exponent * jnp.log1p(self.sharpness * o))
+        lobe = self.fresnel(length[..., 0] / 2) * tail * v_cavities(s, length, zi, zo) * (4 / jnp.pi)
+        return per_channel(self.diffuse, wi) / jnp.pi + per_channel(self.amplitude, wi) * lobe
+
+
+def v_cavities(s: Float[Array, "*batch 3"], length: Real, zi: Real, zo: Real) -> Real:
+    """G / (4 z_i z_o) of V-cavities, `(*batch, 1)`; `length` is that of s = wi + wo."""
+    # min(zi, zo) of the masking terms cancels against the denominator. One division at a time: second derivatives of
+    # 1 / (|s|² z) overflow in float32 at z = 1e-6, and poison even the branch where G = 1.
+    return jnp.minimum(1 / (4 * zi * zo), s[..., 2:] / length / length / jnp.maximum(zi, zo))
 
 
 def beckmann(h: Float[Array, "*batch 3"], mx: Float[Array, ""], my: Float[Array, ""]) -> Real:

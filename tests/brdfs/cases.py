@@ -3,6 +3,7 @@
 import numpy as np
 
 from hshjax.brdfs import (
+    ABC,
     GGX,
     BlinnPhong,
     ConductorFresnel,
@@ -42,6 +43,8 @@ ALL_BRDFS = {
     "ggx_rgb": GGX(RGB, 0.5),
     "ggx_height_correlated": GGX(1.0, 0.6, height_correlated=True),
     **{f"ggx_{name}": GGX(1.0, 0.4, fresnel) for name, fresnel in FRESNELS.items()},
+    "abc": ABC(0.2, 1.2, 40.0, 1.3),
+    "abc_rgb": ABC(RGB, 0.5 * RGB, 40.0, 2.5, SchlickFresnel(0.04)),
     "blinn_phong": BlinnPhong(1.0, 20.0),
     "blinn_phong_rgb": BlinnPhong(RGB, 7.5),
     "blinn_phong_flat": BlinnPhong(0.7, 0.0),

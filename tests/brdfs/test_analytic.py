@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hshjax.brdfs import (
+    ABC,
     GGX,
     BlinnPhong,
     ConductorFresnel,
@@ -45,6 +46,7 @@ SHARP_BRDFS = {
     "cook_torrance_sharp": CookTorrance(0.1, 0.9, 1e-3),
     "ggx_sharp": GGX(1.0, 1e-3),
     "ggx_height_correlated_sharp": GGX(1.0, 1e-3, height_correlated=True),
+    "abc_sharp": ABC(0.1, 1e3, 1e8, 10.0),
     "blinn_phong_sharp": BlinnPhong(1.0, 1000.0),
     "ward_sharp": Ward(1.0, 1e-3, 1e-2),
     "oren_nayar_full_rough": OrenNayar(1.0, math.pi / 2, full=True),
@@ -258,6 +260,15 @@ def ggx(wi, wo, specular, alpha, height_correlated):
     return specular * d * g / (4 * math.cos(ti) * math.cos(to))
 
 
+def abc(wi, wo, diffuse, amplitude, b, c, eta):
+    ti, to, _, th, td = scalar_angles(wi, wo)
+    tt = math.asin(math.sin(td) / eta)  # refracted, Snell; then Fresnel's sines and tangents
+    f = ((math.sin(td - tt) / math.sin(td + tt)) ** 2 + (math.tan(td - tt) / math.tan(td + tt)) ** 2) / 2
+    g = min(1, 2 * math.cos(th) * math.cos(ti) / math.cos(td), 2 * math.cos(th) * math.cos(to) / math.cos(td))
+    tail = 1 / (1 + b * (1 - math.cos(th))) ** c
+    return diffuse / math.pi + amplitude * f * tail * g / (math.pi * math.cos(ti) * math.cos(to))
+
+
 def oren_nayar(wi, wo, albedo, sigma, full):
     ti, to, delta, _, _ = scalar_angles(wi, wo)
     alpha, beta, v, c = max(ti, to), min(ti, to), sigma**2, math.cos(delta)
@@ -293,13 +304,14 @@ def blinn_phong(wi, wo, specular, n):
         (CookTorrance(0.2, 0.458, 0.25), cook_torrance, (0.2, 0.458, 0.25)),
         (GGX(0.8, 0.3), ggx, (0.8, 0.3, False)),
         (GGX(0.8, 0.3, height_correlated=True), ggx, (0.8, 0.3, True)),
+        (ABC(0.2, 1.2, 40.0, 1.3, DielectricFresnel(1.8)), abc, (0.2, 1.2, 40.0, 1.3, 1.8)),
         (OrenNayar(0.8, 0.4), oren_nayar, (0.8, 0.4, False)),
         (OrenNayar(0.8, 0.4, full=True), oren_nayar, (0.8, 0.4, True)),
         (Ward(0.8, 0.2, 0.5), ward, (0.8, 0.2, 0.5, False)),
         (Ward(0.8, 0.2, 0.5, original=True), ward, (0.8, 0.2, 0.5, True)),
         (BlinnPhong(0.8, 12.5), blinn_phong, (0.8, 12.5)),
     ],
-    ids=["cook_torrance", "ggx", "ggx_height", "oren_nayar", "oren_nayar_full", "ward", "ward_original", "blinn_phong"],
+    ids=["cook_torrance", "ggx", "ggx_height", "abc", "oren_nayar", "oren_nayar_full", "ward", "ward_original", "blinn_phong"],
 )
 def test_value_against_the_formula_in_angles(brdf, formula, arguments):
     wi, wo = directions(11, 500, min_z=0.05), directions(12, 500, min_z=0.05)
