@@ -1,4 +1,4 @@
-"""What a run says while it works: bars on a terminal, plain lines elsewhere; always on standard error."""
+"""What a run says while it works: bars on a terminal, plain lines elsewhere, on standard error; and what it prints."""
 
 import time
 from collections.abc import Iterable, Iterator, Sized
@@ -6,6 +6,7 @@ from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
 
 _Item = TypeVar("_Item")
 
@@ -22,6 +23,13 @@ class Voice:
     def say(self, text: str) -> None:
         """One line, as it stands: no markup."""
         self.console.print(text, markup=False)
+
+    def show(self, columns: list[str], rows: list[list[str]]) -> None:
+        """A table on standard output, however wide."""
+        table = Table(*columns, box=None, pad_edge=False)
+        for row in rows:
+            table.add_row(*row)
+        Console(highlight=False, markup=False, width=None if self.console.is_terminal else 200).print(table)
 
     def follow(self, iterable: Iterable[_Item], description: str, total: int | None = None) -> Iterator[_Item]:
         """The same items, with a sign of progress after each."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments import stages
 from experiments.progress import Voice
-from experiments.report import Figure, Heading, Metric, Paragraph, Table, render
+from experiments.report import Figure, Heading, Metric, Paragraph, Table, number, render
 
 _Item = TypeVar("_Item")
 _Scalar = float | int | str | bool | None
@@ -64,8 +64,10 @@ class Record:
             raise ValueError(f"metric {name} is {scalar}")
         self._metrics[name] = Metric(name, scalar, unit, note)
 
-    def table(self, name: str, rows: list[dict[str, Any]], caption: str) -> None:
+    def table(self, name: str, rows: list[dict[str, Any]], caption: str, *, printed: bool = False) -> None:
         """Rows with the same columns, written to `name.csv` in full precision; None is an empty cell.
+
+        `printed`: on standard output too, as the report shows it.
 
         **Raises:** ValueError where there are no rows, or where their columns differ.
         """
@@ -81,6 +83,8 @@ class Record:
         csv.writer(text, lineterminator="\n").writerows([columns, *cells])
         stages.write_text(path, text.getvalue())
         self._blocks.append(Table(path.name, caption, columns, cells))
+        if printed:
+            self._voice.show(columns, [[str(number(cell)) for cell in row] for row in cells])
 
     def figure(self, name: str, figure: Any, caption: str) -> None:
         """A matplotlib figure, written to `name.png` and closed. One above 300 kB is written at a lower resolution."""

@@ -1,6 +1,8 @@
 """What compact models are judged by: a table that follows the highlight, images of spheres, measured pairs, albedo."""
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,11 +84,21 @@ def cells() -> Cells:
     """The cells of every table."""
     samples = half_vector_samples(lambda wi, wo: wi[:, 2], shape=SHAPE, largest=LARGEST, grazing=0.0)
     wi, wo = np.asarray(samples.wi), np.asarray(samples.wo)
-    theta_h = np.asarray(angles(half_vector(samples.wi, samples.wo))[0])
+    return Cells(wi, wo, measure(wi, wo) * (wi[:, 2] * wo[:, 2]) ** 2)
+
+
+def measure(wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
+    """What a cell of equal width in sqrt(θ_h), θ_d and φ_d holds of dω_i dω_o, up to a factor, `(n,)`."""
+    theta_h = np.asarray(angles(half_vector(jnp.asarray(wi), jnp.asarray(wo)))[0])
     cos_d = np.linalg.norm(wi + wo, axis=1) / 2
-    # dω_i dω_o = 4 cos θ_d dω_h dω_d, on cells of equal width in sqrt(θ_h).
-    measure = np.sin(theta_h) * np.sqrt(theta_h) * np.sqrt(1 - np.minimum(cos_d, 1) ** 2) * cos_d
-    return Cells(wi, wo, measure * (wi[:, 2] * wo[:, 2]) ** 2)
+    # dω_i dω_o = 4 cos θ_d dω_h dω_d
+    return np.sin(theta_h) * np.sqrt(theta_h) * np.sqrt(1 - np.minimum(cos_d, 1) ** 2) * cos_d
+
+
+def gloss(table: np.ndarray) -> float:
+    """The largest value over the median one, of the mean of the channels: 1 for Lambert, thousands for a mirror."""
+    mean = table.mean(axis=1)
+    return float(mean.max() / np.median(mean))
 
 
 def log_error(value: np.ndarray, fitted: np.ndarray, wi: np.ndarray, wo: np.ndarray) -> float:
@@ -120,6 +132,9 @@ def pictures(environments: Sequence[Path], size: int = 128) -> list[Picture]:
     for path in environments:
         boxes = square_blocks(np.asarray(read_exr(path), float), 32).mean((1, 3))
         found.append(_picture(_ball(size // 2), EnvironmentMap(jnp.asarray(boxes), up="y")))
+        # Maps of one size light the same pairs, which are then evaluated once.
+        if len(found) > 2 and np.array_equal(found[-1].wi, found[1].wi):
+            found[-1] = found[1]._replace(irradiance=found[-1].irradiance)
     return found
 
 
@@ -148,17 +163,23 @@ def _picture(normals: np.ndarray, light: AbstractLighting) -> Picture:
 def images(brdf: Callable, pictures: list[Picture]) -> list[np.ndarray]:
     """Radiance `(pixels, channels)` of each picture; of several materials together, each is lit in its own channels."""
     found = []
-    for one in pictures:
-        pixels, radiance = one.pixel[-1] + 1, None
-        for start in range(0, len(one.pixel), PAIRS):
-            part = slice(start, start + PAIRS)
-            value = evaluated(brdf, one.wi[part], one.wo[part])
+    for _, alike in groupby(pictures, key=lambda one: id(one.wi)):
+        found += _lit(brdf, list(alike))
+    return found
+
+
+def _lit(brdf: Callable, pictures: list[Picture]) -> list[np.ndarray]:
+    """Pictures of the same pairs: each is evaluated once."""
+    wi, wo, pixel = pictures[0].wi, pictures[0].wo, pictures[0].pixel
+    found: list[np.ndarray] = []
+    for start in range(0, len(pixel), PAIRS):
+        part = slice(start, start + PAIRS)
+        value = evaluated(brdf, wi[part], wo[part])
+        first = np.flatnonzero(np.diff(pixel[part], prepend=-1))
+        found = found or [np.zeros((pixel[-1] + 1, value.shape[1])) for _ in pictures]
+        for radiance, one in zip(found, pictures, strict=True):
             lit = value.reshape(len(value), -1, one.irradiance.shape[1]) * one.irradiance[part, None]
-            pixel = one.pixel[part]
-            first = np.flatnonzero(np.diff(pixel, prepend=-1))
-            radiance = np.zeros((pixels, value.shape[1])) if radiance is None else radiance
-            radiance[pixel[first]] += np.add.reduceat(lit.reshape(value.shape), first, axis=0)
-        found.append(radiance)
+            radiance[pixel[part][first]] += np.add.reduceat(lit.reshape(value.shape), first, axis=0)
     return found
 
 
@@ -187,13 +208,23 @@ def psnr(truth: list[np.ndarray], fitted: list[np.ndarray]) -> float:
 
 def largest_albedo(brdf: Callable, polar: Sequence[float] = POLAR) -> np.ndarray:
     """Of each channel, over these angles of the eye: integrals over half vectors, on nodes that follow highlights."""
-    largest = []
+    wi, wo, weights = _furnaces(tuple(polar))
+    value = evaluated(brdf, wi, wo)
+    parts = np.split(value, np.cumsum([weight.size for weight in weights])[:-1])
+    return np.max([weight @ part for weight, part in zip(weights, parts, strict=True)], axis=0)
+
+
+@lru_cache
+def _furnaces(polar: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Lit pairs of all angles, one after the other, and the weights of each angle."""
+    wi, wo, weights = [], [], []
     for angle in polar:
-        wi, wo, weight = furnace_rule(angle, NODES)
+        towards, eye, weight = furnace_rule(angle, NODES)
         lit = weight > 0
-        value = evaluated(brdf, wi[lit], np.broadcast_to(wo, wi[lit].shape))
-        largest.append(weight[lit] @ value)
-    return np.max(largest, axis=0)
+        wi.append(towards[lit])
+        wo.append(np.broadcast_to(eye, wi[-1].shape))
+        weights.append(weight[lit])
+    return np.concatenate(wi), np.concatenate(wo), weights
 
 
 def together(models: Sequence[LogLinearBRDF]) -> LogLinearBRDF:

@@ -21,7 +21,10 @@ def read_surrogates(path: Path) -> dict[str, "Surrogate"]:
 
 
 class Surrogate:
-    """ρ(wi, wo) [sr^-1], RGB: exp(network) - 1 of the half vector, turned to φ_h = 0, and the difference vector."""
+    """ρ(wi, wo) [sr^-1], RGB: exp(network) - 1 of the half vector, turned to φ_h = 0, and the difference vector.
+
+    In the dtype of the directions.
+    """
 
     def __init__(self, layers: list[tuple[np.ndarray, np.ndarray]]):
         self.layers = [(jnp.asarray(kernel, float), jnp.asarray(bias, float)) for kernel, bias in layers]
@@ -34,8 +37,8 @@ class Surrogate:
 def _evaluate(layers, wi, wo):
     x = _rusinkiewicz(wi, wo)
     for k, (kernel, bias) in enumerate(layers):
-        x = x @ kernel
-        x = x + jnp.broadcast_to(bias, x.shape)
+        x = x @ kernel.astype(x.dtype)
+        x = x + jnp.broadcast_to(bias.astype(x.dtype), x.shape)
         if k < len(layers) - 1:
             x = jax.nn.relu(x)
     return jnp.expm1(x)

@@ -1,8 +1,8 @@
 """Microfacet BRDFs: Cook-Torrance (Beckmann facets) and ABC, both with V-cavity shadowing, and GGX (Smith shadowing).
 
-All are F(h·wo) D(h) G(wi, wo) / (4 z_i z_o), with ∫ D z_h dω_h = 1 but for ABC. With s = wi + wo the half vector is s/|s| and
-h·wi = h·wo = |s|/2; tan²θ_h = (s_x² + s_y²)/s_z² is free of the cancellation in 1 - z_h². G and the denominator are
-written as one factor, which stays finite where G and z vanish together.
+All are F(h·wo) D(h) G(wi, wo) / (4 z_i z_o), with ∫ D z_h dω_h = 1 but for ABC. With s = wi + wo the half vector is
+s/|s| and h·wi = h·wo = |s|/2; tan²θ_h = (s_x² + s_y²)/s_z² is free of the cancellation in 1 - z_h². G and the
+denominator are written as one factor, which stays finite where G and z vanish together.
 """
 
 import equinox as eqx

@@ -311,7 +311,17 @@ def blinn_phong(wi, wo, specular, n):
         (Ward(0.8, 0.2, 0.5, original=True), ward, (0.8, 0.2, 0.5, True)),
         (BlinnPhong(0.8, 12.5), blinn_phong, (0.8, 12.5)),
     ],
-    ids=["cook_torrance", "ggx", "ggx_height", "abc", "oren_nayar", "oren_nayar_full", "ward", "ward_original", "blinn_phong"],
+    ids=[
+        "cook_torrance",
+        "ggx",
+        "ggx_height",
+        "abc",
+        "oren_nayar",
+        "oren_nayar_full",
+        "ward",
+        "ward_original",
+        "blinn_phong",
+    ],
 )
 def test_value_against_the_formula_in_angles(brdf, formula, arguments):
     wi, wo = directions(11, 500, min_z=0.05), directions(12, 500, min_z=0.05)
