@@ -111,7 +111,7 @@ class ABC(AbstractBRDF):
     amplitude: Real = bounded(0.0, float("inf"), amplitude=True)
     sharpness: Float[Array, ""] = bounded(0.0, 1e8, search=(3.0, 1e6), logarithmic=True)
     exponent: Float[Array, ""] = bounded(0.0, 10.0, search=(0.3, 3.0), logarithmic=True)
-    fresnel: AbstractFresnel = eqx.field(default_factory=lambda: DielectricFresnel(1.5))
+    fresnel: AbstractFresnel = eqx.field(default_factory=lambda: DielectricFresnel(jnp.asarray(1.5)))
 
     def __check_init__(self):
         check_parameters(self, spectra=("diffuse", "amplitude"), scalars=("sharpness", "exponent"))
