@@ -17,7 +17,7 @@ import numpy as np
 
 from experiments import stages
 from experiments.progress import Voice
-from experiments.report import Figure, Heading, Metric, Paragraph, Table, number, render
+from experiments.report import Figure, Heading, Metric, Paragraph, Table, render
 
 _Item = TypeVar("_Item")
 _Scalar = float | int | str | bool | None
@@ -67,7 +67,7 @@ class Record:
     def table(self, name: str, rows: list[dict[str, Any]], caption: str, *, printed: bool = False) -> None:
         """Rows with the same columns, written to `name.csv` in full precision; None is an empty cell.
 
-        `printed`: on standard output too, as the report shows it.
+        `printed`: on standard output too, with four digits.
 
         **Raises:** ValueError where there are no rows, or where their columns differ.
         """
@@ -84,7 +84,7 @@ class Record:
         stages.write_text(path, text.getvalue())
         self._blocks.append(Table(path.name, caption, columns, cells))
         if printed:
-            self._voice.show(columns, [[str(number(cell)) for cell in row] for row in cells])
+            self._voice.show(columns, [[_printed(cell) for cell in row] for row in cells])
 
     def figure(self, name: str, figure: Any, caption: str) -> None:
         """A matplotlib figure, written to `name.png` and closed. One above 300 kB is written at a lower resolution."""
@@ -196,6 +196,12 @@ def _scalar(value: Any, place: str) -> _Scalar:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise TypeError(f"{place}: expected a number, a string or None, got {type(value).__name__} {value!r}")
+
+
+def _printed(cell: _Scalar) -> str:
+    if cell is None:
+        return "-"
+    return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
 def _png(figure: Any, dpi: int) -> bytes:

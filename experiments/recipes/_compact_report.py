@@ -23,7 +23,8 @@ LOOKS = {
 }  # fmt: skip
 """Colour, marker, and whether it is full."""
 
-PRODUCTS = ("HSH", "HSH, log", "Zernike", "Zernike, log")
+LINEAR, LOGARITHMIC = ("HSH", "Zernike"), ("HSH, log", "Zernike, log")
+PRODUCTS = LINEAR + LOGARITHMIC
 GIVEN = ("network", "network, both ways", "ABC, published", "SGD, published")
 """Not fitted here, or not to every material."""
 
@@ -76,36 +77,45 @@ def classes(rows: list[Row], glosses: dict[str, float]) -> list[Row]:
 
 def said_of_classes(classes: list[Row], glosses: dict[str, float]) -> str:
     """The table of both quarters in words."""
-    text = []
+    text, pictures = [], {}
     for quarter, names in quarters(glosses).items():
         rows = [row for row in classes if row["quarter"] == quarter]
         reach = [glosses[name] for name in names]
-        best = min((row for row in rows if row["model"] in PRODUCTS), key=lambda row: row["log"])
-        enough = [row["n"] for row in rows if row["model"] == "compact" and row["log"] <= best["log"]]
-        small = min((row for row in rows if row["model"] in ("GGX", "ABC")), key=lambda row: row["log"])
-        against = (
-            f"compact models are at or below that from n = {min(enough)} on"
-            if enough
-            else "no compact model of this run gets below that"
-        )
+        best = min(_of(rows, *PRODUCTS), key=lambda row: row["log"])
+        (series,) = _of(rows, "half-vector, linear")
+        small = min(_of(rows, "GGX", "ABC"), key=lambda row: row["log"])
+        pictures[quarter] = [_clearest(_of(rows, *models)) for models in (LINEAR, LOGARITHMIC)]
         text.append(
             f"**The {quarter} quarter** ({len(names)} materials, gloss {min(reach):.3g} to {max(reach):.3g}): "
-            f"{_said([row for row in rows if row['model'] in PRODUCTS])}; {_said(_of(rows, 'half-vector, linear'))}; "
-            f"{_said(_of(rows, 'compact'))}; {small['model']} is the better lobe, {_said([small])}. Of the series of "
-            f"products {best['model']} has the least log error, and {against}."
+            f"log error and PSNR are, with n in brackets, {_said(_of(rows, *PRODUCTS))}; "
+            f"{_said([series])}; {_said(_of(rows, 'compact'))}; of the lobes {_said([small])}. {best['model']} has the "
+            f"least log error of the products: {_enough(rows, best)}. Against the linear half-vector series: "
+            f"{_enough(rows, series)}."
         )
     text.append(
-        "So products of functions of one direction are for smooth materials: there they are near, and they have what "
-        "no other model here has, a closed form of Eq. 1 under harmonic light (linear in ρ, `hshjax.reflect`), of "
-        "albedo and of reciprocity. As series of ln ρ they lose that, and need bounds. The half-vector warp is for "
-        "highlights: a linear series over it is fitted by one solve and may be negative; the logarithm makes it "
-        "positive and smaller still. All but products are summed over emitters."
+        f"Products of functions of one direction are for smooth materials ({pictures['smoothest'][0]}, against "
+        f"{pictures['sharpest'][0]} on the sharpest) and for harmonic light: linear in ρ, they alone of these models "
+        "have Eq. 1 in closed form (`hshjax.reflect`); the others are summed over emitters. As series of ln ρ they "
+        f"lose that, and are clipped lest they explode ({pictures['smoothest'][1]}, and {pictures['sharpest'][1]}). "
+        "The half-vector warp is for highlights: a linear series over it is found by one solve, and may be negative; the "
+        "exponential of one cannot."
     )
     return "\n\n".join(text)
 
 
-def _of(rows: list[Row], model: str) -> list[Row]:
-    return [row for row in rows if row["model"] == model]
+def _enough(rows: list[Row], rival: Row) -> str:
+    """From how many numbers on compact models have no larger error than a rival."""
+    enough = [row["n"] for row in _of(rows, "compact") if row["log"] <= rival["log"]]
+    return f"compact models are at or below it from n = {min(enough)} on" if enough else "no compact model gets there"
+
+
+def _of(rows: list[Row], *models: str) -> list[Row]:
+    return [row for row in rows if row["model"] in models]
+
+
+def _clearest(rows: list[Row]) -> str:
+    best = max(rows, key=lambda row: row["psnr"])
+    return f"{best['psnr']:.3g} dB with {best['model']}"
 
 
 def _said(rows: list[Row]) -> str:
@@ -165,8 +175,9 @@ def draw(medians: list[Row]) -> Any:
                 ax.loglog(*np.reshape(line, (-1, 2)).T, marker + "-", color=color, label=model, ms=8, mfc=face, mew=1.5)
                 if model == "compact":
                     for n, log in line:
-                        ax.annotate(f"{n}", (n, log), (0, -15), textcoords="offset points", ha="center", color=color)
+                        ax.annotate(f"{n:g}", (n, log), (-5, -13), textcoords="offset points", ha="right", color=color)
             ax.set(title=database, xlabel="numbers for three channels")
+            ax.margins(y=0.08)
             ax.set_xlim(5, 1100)
             ax.set_xticks([10, 30, 100, 300, 1000], ["10", "30", "100", "300", "1000"])
             ax.tick_params(axis="x", which="minor", labelbottom=False)

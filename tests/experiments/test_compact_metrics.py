@@ -106,6 +106,18 @@ def test_blocks_of_pairs_change_nothing(monkeypatch):
     np.testing.assert_allclose(images(brdf, lamps)[0], whole[0], rtol=1e-5)
 
 
+def test_lights_on_the_same_pairs_are_lit_together():
+    """Two lights that share their pairs, by identity, and the same two with pairs of their own."""
+    lamps = pictures([], 16)[0]
+    dim = lamps._replace(irradiance=0.5 * lamps.irradiance)
+    apart = dim._replace(wi=dim.wi.copy())
+    brdf = GGX(jnp.asarray([0.9, 0.5, 0.1]), 0.3)
+    shared, alone = images(brdf, [lamps, dim]), images(brdf, [lamps, apart])
+    for one, other in zip(shared, alone, strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_allclose(shared[1], 0.5 * shared[0], rtol=1e-6)
+
+
 def test_what_is_folded_is_reciprocal_and_bilateral():
     def crooked(wi, wo):
         return (2 + wi[:, 2:]) * jnp.exp(wi[:, :1] * wo[:, 1:2] - wi[:, 1:2] * wo[:, :1])

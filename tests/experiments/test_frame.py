@@ -423,6 +423,20 @@ def test_record_refuses_what_would_mislead(record):
             function(*arguments)
 
 
+def test_a_printed_table_is_on_standard_output(record, capsys):
+    rows = [
+        {"model": f"a model of a name as long as this, no. {k}", "n": k, "log": 1e-7 / 3, "pairs": None} for k in (8, 9)
+    ]
+    record.table("silent", rows, "")
+    assert capsys.readouterr().out == ""
+    record.table("loud", rows, "", printed=True)
+    lines = [line.split("  ") for line in capsys.readouterr().out.splitlines()]
+    assert [[cell.strip() for cell in line if cell.strip()] for line in lines] == [
+        ["model", "n", "log", "pairs"],
+        *([row["model"], str(row["n"]), "3.333e-08", "-"] for row in rows),
+    ]
+
+
 def test_randomness_depends_on_seed_and_purpose(record, tmp_path):
     def draw(record, purpose):
         return jax.random.key_data(record.key(purpose)).tolist(), record.rng(purpose).integers(2**40)
