@@ -97,8 +97,8 @@ def said_of_classes(classes: list[Row], glosses: dict[str, float]) -> str:
         f"{pictures['sharpest'][0]} on the sharpest) and for harmonic light: linear in ρ, they alone of these models "
         "have Eq. 1 in closed form (`hshjax.reflect`); the others are summed over emitters. As series of ln ρ they "
         f"lose that, and are clipped lest they explode ({pictures['smoothest'][1]}, and {pictures['sharpest'][1]}). "
-        "The half-vector warp is for highlights: a linear series over it is found by one solve, and may be negative; the "
-        "exponential of one cannot."
+        "The half-vector warp is for highlights: a linear series over it is found by one solve, and may be negative; "
+        "the exponential of one cannot."
     )
     return "\n\n".join(text)
 
