@@ -44,6 +44,7 @@ from hshjax.brdfs import (
     CookTorrance as CookTorrance,
     DielectricFresnel as DielectricFresnel,
     ExpBRDF as ExpBRDF,
+    HalfVectorTable as HalfVectorTable,
     Lambert as Lambert,
     LinearBRDF as LinearBRDF,
     LogLinearBRDF as LogLinearBRDF,
@@ -85,6 +86,8 @@ from hshjax.fitting import (
     SampleMisfit as SampleMisfit,
     Smoothness as Smoothness,
     Sparsity as Sparsity,
+    TableError as TableError,
+    Tabulated as Tabulated,
     fit as fit,
     fit_compact as fit_compact,
     fit_compact_all as fit_compact_all,
@@ -99,6 +102,8 @@ from hshjax.fitting import (
     project_all as project_all,
     relative_error as relative_error,
     sparsity_path as sparsity_path,
+    tabulate as tabulate,
+    to_series as to_series,
 )
 from hshjax.geometry import angles as angles, direction as direction, half_vector as half_vector
 from hshjax.lighting import (

@@ -10,6 +10,7 @@ from hshjax.brdfs._fresnel import (
     DielectricFresnel as DielectricFresnel,
     SchlickFresnel as SchlickFresnel,
 )
+from hshjax.brdfs._half_vector_table import HalfVectorTable as HalfVectorTable
 from hshjax.brdfs._linear import LinearBRDF as LinearBRDF
 from hshjax.brdfs._lobes import BlinnPhong as BlinnPhong, Ward as Ward
 from hshjax.brdfs._log_linear import LogLinearBRDF as LogLinearBRDF, contrasts as contrasts

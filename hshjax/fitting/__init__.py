@@ -38,6 +38,7 @@ from hshjax.fitting._sparsity_path import (
     sparsity_path as sparsity_path,
 )
 from hshjax.fitting._sweep import IsotropicTable as IsotropicTable, order_sweep as order_sweep
+from hshjax.fitting._tabulate import TableError as TableError, Tabulated as Tabulated, tabulate as tabulate
 from hshjax.fitting._terms import (
     AbstractTerm as AbstractTerm,
     EnergyConservation as EnergyConservation,
@@ -49,3 +50,4 @@ from hshjax.fitting._terms import (
     Smoothness as Smoothness,
     Sparsity as Sparsity,
 )
+from hshjax.fitting._to_series import to_series as to_series

@@ -21,7 +21,8 @@ class Fit(eqx.Module, Generic[Model]):
     - `norm`: name of the norm (see `NORMS`) in which the two figures that follow are meant.
     - `residual`: root of Σ w |ρ - ρ̂|² in that norm, per channel. - `relative`: the same over the root of Σ w |ρ|².
     - `condition`: estimate of the condition number of the weighted design matrix; 1 where inner products were enough.
-    - `method`: "inner products" or "QR". - `samples`: how many have a weight. - `unknowns`: how many were solved for.
+    - `method`: "inner products" or "QR"; of `to_series`, which rule. - `samples`: how many have a weight.
+      `unknowns`: how many were solved for.
     - `reciprocity_before`: violation in the data, over the pairs of samples that are each other's swap (`pairs` may be
       0). `reciprocity_after`: that of the model, over the directions of the data. None where they were not asked for.
     - `covariance`: `(modes, modes)`, to be multiplied by `noise`, the estimated variance per channel of a sample of
@@ -29,6 +30,8 @@ class Fit(eqx.Module, Generic[Model]):
       noise. None where it was not asked for. Constraints do not enter it.
     - `certificate`: what was found of the physical validity of the fit. None where no constraint was asked for.
     - `result`: how the fit ended, an `Outcome`.
+    - `quadrature_error`: how far the coefficients moved, relative to their norm, when the rule was refined last. None
+      where samples were given: `project` knows nothing between them.
     """
 
     model: Model
@@ -45,6 +48,7 @@ class Fit(eqx.Module, Generic[Model]):
     noise: Float[Array, " channels"] | None = None
     certificate: Certificate | None = None
     result: Outcome = eqx.field(default_factory=lambda: Outcome.converged)
+    quadrature_error: float | None = None
 
 
 class IterativeFit(eqx.Module, Generic[Model]):

@@ -1,0 +1,139 @@
+"""Isotropic materials as a table over half and difference angles: what databases hold, and what is quick to look up."""
+
+from itertools import product
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+from hshjax._fields import floating
+from hshjax._typing import Array, Float, Int
+from hshjax.bases import IdentityWarp
+from hshjax.bases._half_vector import half_chart
+from hshjax.brdfs._tabulated import TabulatedBRDF
+
+
+class HalfVectorTable(TabulatedBRDF):
+    """ρ at nodes (θ_h, θ_d, φ_d), multilinear between them in sqrt(θ_h), θ_d and φ_d.
+
+    - `values` `(theta_h, theta_d, phi_d, channels)` [sr^-1, no cosine], at the nodes:
+    - `theta_h`, `theta_d`: half and difference angle, rising, in [0, π/2], two or more of each; `phi_d`: azimuth of the
+      difference vector, rising, in [0, π), one or more. All in radians. They are no parameters: their derivative is 0.
+
+    A swap of wi and wo adds π to φ_d, and φ_d counts modulo π: reciprocal by construction, and isotropic; bilateral
+    where the values at φ_d and π - φ_d are the same. Below the first node and beyond the last one of θ_h or θ_d the
+    nearest one holds.
+
+    Where θ_h or θ_d is 0, within rounding, φ_d means nothing and counts as 0, and the derivatives of both are 0. The
+    table is continuous there if its values do not depend on φ_d: `settled` sees to it. Towards θ_h = 0 the slope grows
+    as that of sqrt(θ_h) does.
+
+    The grid of a MERL file is (i/90)² π/2, i degrees, i degrees: 90 x 90 x 180 nodes.
+
+    **Raises:** ValueError for values that do not fit the nodes, or nodes out of order or range.
+
+    Source: Rusinkiewicz, A New Change of Variables for Efficient BRDF Representation, EGWR 1998 (the coordinates).
+    """
+
+    values: Float[Array, "theta_h theta_d phi_d channels"] = eqx.field(converter=floating)
+    theta_h: Float[Array, " theta_h"] = eqx.field(converter=floating)
+    theta_d: Float[Array, " theta_d"] = eqx.field(converter=floating)
+    phi_d: Float[Array, " phi_d"] = eqx.field(converter=floating)
+    description: str = eqx.field(static=True, default="")
+    channel_names: tuple[str, ...] = eqx.field(static=True, default=("R", "G", "B"))
+
+    def __check_init__(self):
+        nodes = self.theta_h.shape + self.theta_d.shape + self.phi_d.shape
+        expected = (*nodes, len(self.channel_names))
+        if self.values.shape != expected:
+            got = self.values.shape
+            raise ValueError(f"values of a table must have shape {expected}, by its nodes and channel names, got {got}")
+        if min(nodes[:2]) < 2 or nodes[2] < 1:
+            raise ValueError(f"a table needs two nodes along θ_h and θ_d and one along φ_d, got {nodes}")
+        for name, end, closed in (("theta_h", np.pi / 2, True), ("theta_d", np.pi / 2, True), ("phi_d", np.pi, False)):
+            if not isinstance(getattr(self, name), Tracer):
+                _check_nodes(name, np.asarray(getattr(self, name), np.float64), end, closed=closed)
+
+    def settled(self) -> "HalfVectorTable":
+        """The same table with the mean over φ_d where θ_h or θ_d is 0, and φ_d means nothing."""
+        nowhere = (self.theta_h == 0)[:, None] | (self.theta_d == 0)[None]
+        values = jnp.where(nowhere[..., None, None], jnp.mean(self.values, axis=2, keepdims=True), self.values)
+        return eqx.tree_at(lambda table: table.values, self, values)
+
+    def formula(self, wi, wo):
+        batch = wi.shape[:-1]
+        theta_h, theta_d, phi_d = half_difference_angles(wi.reshape(-1, 3), wo.reshape(-1, 3))
+        half, difference, azimuth = jax.lax.stop_gradient((self.theta_h, self.theta_d, self.phi_d))
+        ends = (
+            _cell(jnp.sqrt(half), _root(theta_h)),
+            _cell(difference, theta_d),
+            _periodic_cell(azimuth, phi_d),
+        )
+        channels = self.values.shape[3]
+        total = jnp.zeros((theta_h.size, channels), wi.dtype)
+        for (h, at_h), (d, at_d), (f, at_f) in product(*ends):
+            total += (at_h * at_d * at_f)[:, None] * self.values[h, d, f]
+        return total.reshape(*batch, channels)
+
+
+def half_difference_angles(
+    wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]
+) -> tuple[Float[Array, " pairs"], Float[Array, " pairs"], Float[Array, " pairs"]]:
+    """(θ_h, θ_d, φ_d) [radians], φ_d modulo π, in [0, π): the inverse of `from_half_difference`.
+
+    Where θ_h or θ_d is 0 within rounding, it is 0 with derivative 0, and so is φ_d.
+    """
+    chart = half_chart(IdentityWarp(), wi, wo)
+    tiny = float(jnp.finfo(wi.dtype).eps) ** 2
+    nowhere = (chart.u <= tiny) | (chart.v <= tiny)
+    # A factor that the angle does not depend on, and its derivative neither: (u v)² is too small for float32.
+    scale = jax.lax.stop_gradient(1 / jnp.where(nowhere, 1, chart.u * chart.v))
+    cos, sin = (jnp.where(nowhere, pole, scale * part) for part, pole in zip(chart.turn, (1, 0), strict=True))
+    twice = jnp.arctan2(sin, cos)
+    return _angle(chart.u, tiny), _angle(chart.v, tiny), jnp.where(twice < 0, twice / 2 + jnp.pi, twice / 2)
+
+
+def _angle(o: Float[Array, " n"], tiny: float) -> Float[Array, " n"]:
+    """θ of o = 1 - cos θ."""
+    tilted = o > tiny
+    safe = jnp.where(tilted, o, 1)
+    return jnp.where(tilted, jnp.arctan2(jnp.sqrt(safe * (2 - safe)), 1 - safe), 0)
+
+
+def _root(theta: Float[Array, " n"]) -> Float[Array, " n"]:
+    positive = theta > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, theta, 1)), 0)
+
+
+End = tuple[Int[Array, " n"], Float[Array, " n"]]
+
+
+def _cell(nodes: Float[Array, " nodes"], x: Float[Array, " n"]) -> tuple[End, End]:
+    """The nodes on either side of x with their weights; beyond the ends, all of it the last node's."""
+    below = jnp.searchsorted(nodes[1:-1], x, side="right", method="scan").astype(jnp.int32)
+    low, high = nodes[below], nodes[below + 1]
+    fraction = jnp.clip((x - low) / (high - low), 0, 1)
+    return (below, 1 - fraction), (below + 1, fraction)
+
+
+def _periodic_cell(nodes: Float[Array, " nodes"], phi: Float[Array, " n"]) -> tuple[End, End]:
+    """The same on the circle of length π; with a single node, that one twice."""
+    count = nodes.size
+    below = jnp.searchsorted(nodes, phi, side="right", method="scan").astype(jnp.int32) - 1
+    below = jnp.where(below < 0, count - 1, below)
+    above = jnp.where(below == count - 1, 0, below + 1)
+    gap = jnp.mod(nodes[above] - nodes[below], jnp.pi) if count > 1 else jnp.pi
+    fraction = jnp.mod(phi - nodes[below], jnp.pi) / gap
+    return (below, 1 - fraction), (above, fraction)
+
+
+def _check_nodes(name: str, nodes: np.ndarray, end: float, *, closed: bool) -> None:
+    slack = 1e-6 * end  # a right angle in float32 may lie above one in float64
+    last = nodes[-1] <= end + slack if closed else nodes[-1] < end - slack
+    if not (nodes[0] >= 0 and last and np.all(np.diff(nodes) > 0)):
+        bracket = "]" if closed else ")"
+        raise ValueError(
+            f"{name} of a table must rise within [0, {end:.6g}{bracket}, got {nodes[0]:.6g} ... {nodes[-1]:.6g}"
+        )
