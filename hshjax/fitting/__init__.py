@@ -8,8 +8,14 @@ from hshjax.fitting._compact import (
     fit_compact_all as fit_compact_all,
     half_vector_samples as half_vector_samples,
 )
+from hshjax.fitting._compact_posterior import (
+    CompactPosterior as CompactPosterior,
+    Suggestion as Suggestion,
+    Trial as Trial,
+)
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._guess import initial_guesses as initial_guesses
+from hshjax.fitting._infer_compact import infer_compact as infer_compact
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
 from hshjax.fitting._mappings import (

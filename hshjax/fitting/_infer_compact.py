@@ -1,0 +1,186 @@
+"""Compact models from few, scattered and noisy samples: what is not seen is left to a prior, and all is weighed."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax.bases import HalfVectorBasis, IdentityWarp, LogWarp, total_order
+from hshjax.bases._half_vector import COST, Mode, half_chart
+from hshjax.brdfs._log_linear import LogLinearBRDF, leading_terms
+from hshjax.fitting._checks import check_samples
+from hshjax.fitting._compact import ALPHAS
+from hshjax.fitting._compact_equations import FLOOR, MARGIN
+from hshjax.fitting._compact_posterior import CompactPosterior, Trial
+from hshjax.fitting._evidence import Posterior, evidence, posterior, spectrum
+from hshjax.fitting._generalised_log import linearised, log_density
+from hshjax.fitting._lapack import suited_threads
+from hshjax.fitting._norms import named_norm
+from hshjax.samples import Samples
+
+LEAST = 20
+"""Samples below which there is nothing to infer error bars from."""
+
+DARKS = tuple(float(dark) for dark in np.logspace(-4, 0, 9))
+"""Values [sr^-1] at which additive noise is as large as multiplicative noise that are tried."""
+
+NEAR = (10**-0.25, 1.0, 10**0.25)
+"""Steps from the best of them that are tried."""
+
+RATIOS = np.logspace(-2, 7, 91)
+"""Variances of prior and noise, one over the other, that are tried."""
+
+WIDE: dict[Mode, float] = {(0, 0, 0): 10.0, (1, 0, 0): 3.0, (0, 2, 0): 3.0}
+"""The constant, and what every highlight and every grazing angle need: their deviations, times the general ones."""
+
+ROUNDS = 3
+"""Linearisations after the choice."""
+
+
+def prior_deviations(modes: Sequence[Mode]) -> np.ndarray:
+    """Of coefficients of ln ρ, relative, `(modes,)`: (1 + cost)^-2 with the cost of `total_order`, wider for trends."""
+    cost = np.abs(np.array(modes)) @ np.array(COST)
+    return np.array([WIDE.get(mode, 1.0) for mode in modes]) / (1 + cost) ** 2
+
+
+def infer_compact(
+    samples: Samples, functions: int = 150, *, alphas: Sequence[float] | None = None, noise: float | None = None
+) -> CompactPosterior:
+    """A compact model of an isotropic material from few, scattered and noisy samples, with error bars.
+
+    ln ρ = Σ_a c_a B_a over a `HalfVectorBasis`, c_a ~ N(0, s² γ_a²) with deviations γ_a that fall with the order of the
+    function, around the mean of the samples; the constant and two trends are nearly free. A sample is ρ plus noise of
+    deviation σ sqrt(ρ² + dark²). The scale α of the warp, `dark`, s and σ, common to all channels, are those of the
+    largest evidence. The posterior is Gaussian, about a linearisation at its mean. Its deviations are scaled such that
+    samples left out are covered as often as they should be.
+
+    What was not sampled: α is at least a tenth of the smallest 1 - cos θ_h among the samples, so that no highlight is
+    invented; ln ρ is held within a factor of two of the samples' range; deviations grow towards those of the prior.
+
+    **Arguments:**
+
+    - `samples`: [sr^-1, no cosine], any channels, 20 at least. Weights count as relative precision; 0 masks.
+    - `functions`: of the basis, in every channel. More than samples is no harm: the prior decides. Time grows with
+      their square and more.
+    - `alphas`: scales to try; 13 from 1e-6 to 1 by default.
+    - `noise`: standard deviation of the samples relative to ρ, where it is known. What the samples scatter beyond it
+      counts as a misfit of the surface; without it, all does, and error bars of the surface never become smaller than
+      the scatter of the samples.
+
+    Found on the host in float64; not under `jax.jit`. Energy is not constrained: see `hshjax.albedo`.
+
+    **Returns:** a `CompactPosterior`.
+
+    **Raises:** ValueError, naming the count, for fewer than 20 samples; for samples that are not finite, not of unit
+    length or below the horizon; for values all below 1e-4; for scales or a noise that are not positive.
+
+    Source: MacKay, Bayesian Interpolation, Neural Computation 4(3), 1992; Rocke and Durbin, A model for measurement
+    error for gene expression arrays, Journal of Computational Biology 8(6), 2001 (the noise).
+    """
+    if noise is not None and not noise > 0:
+        raise ValueError(f"noise must be > 0, got {noise}")
+    usable, _ = check_samples(samples, named_norm("C"), 1, ridged=True)
+    if usable < LEAST:
+        raise ValueError(f"{usable} samples with a positive weight are too few for error bars, {LEAST} are needed")
+    with jax.enable_x64(True), suited_threads(functions):
+        search = _Search(samples, functions, ALPHAS if alphas is None else alphas)
+        trial, parts, offset = search.found()
+        basis = HalfVectorBasis(search.modes, LogWarp(jnp.asarray(trial.alpha)))
+    channels = len(parts)
+    coefficients = np.stack([search.deviations * part.mean for part in parts])
+    coefficients[:, 0] += offset
+    terms = leading_terms([len(search.modes)] * channels)
+    bounds = (jnp.asarray(part) for part in (search.low, search.high))
+    model = LogLinearBRDF(
+        basis, jnp.asarray(coefficients.ravel()), jnp.eye(channels), *bounds, terms=jnp.asarray(terms)
+    )
+    roots = jnp.asarray(np.stack([search.deviations[:, None] * part.root for part in parts]))
+    scores = jnp.asarray(np.stack([part.scores for part in parts], axis=1))
+    misfit = np.sqrt(max(trial.noise**2 - (noise or 0.0) ** 2, 0.0))
+    return CompactPosterior(
+        model, roots, trial.noise, trial.dark, float(misfit), scores, trial, tuple(search.trials.values())
+    )
+
+
+class _Search:
+    """Hyperparameters of one material, by coordinates: α, then the dark level, then neighbours. Host arrays."""
+
+    def __init__(self, samples: Samples, functions: int, alphas: Sequence[float]):
+        used = np.asarray(samples.weight) > 0
+        parts = (samples.wi, samples.wo, samples.weight, samples.value)
+        self.wi, self.wo, weight, self.value = (np.asarray(part, np.float64)[used] for part in parts)
+        if not np.any(self.value > FLOOR):
+            raise ValueError(f"the material is black: no value is above {FLOOR:g}")
+        self.weight = (weight / weight.mean())[:, None]
+        self.modes = total_order(functions)
+        self.deviations = prior_deviations(self.modes)
+        bright = np.log(np.maximum(self.value, FLOOR))
+        self.low, self.high = bright.min(axis=0) - MARGIN, bright.max(axis=0) + MARGIN
+        self.alphas = self._resolved(alphas)
+        self.designs: dict[float, np.ndarray] = {}
+        self.trials: dict[tuple[float, float], Trial] = {}
+        self.logarithm = bright
+
+    def _resolved(self, alphas: Sequence[float]) -> tuple[float, ...]:
+        """The scales that the samples resolve, or else the largest, increasing."""
+        tried = tuple(sorted(float(alpha) for alpha in alphas))
+        if not tried or tried[0] <= 0:
+            raise ValueError(f"scales are positive, at least one, got {tried}")
+        smallest = half_chart(IdentityWarp(), jnp.asarray(self.wi), jnp.asarray(self.wo)).u.min()
+        return tuple(alpha for alpha in tried if alpha >= 0.1 * float(smallest)) or tried[-1:]
+
+    def _design(self, alpha: float) -> np.ndarray:
+        """The functions at the samples, `(samples, functions)`, in units of their prior deviations."""
+        if alpha not in self.designs:
+            basis = HalfVectorBasis(self.modes, LogWarp(jnp.asarray(alpha)))
+            self.designs[alpha] = np.asarray(basis(jnp.asarray(self.wi), jnp.asarray(self.wo))) * self.deviations
+        return self.designs[alpha]
+
+    def _try(self, alpha: float, dark: float) -> tuple[list[Posterior], np.ndarray]:
+        """Posteriors of the channels and the means of their samples, about the last ln ρ, which they replace."""
+        response, weight = linearised(self.value, self.logarithm, dark)
+        weight = weight * self.weight
+        offset = np.sum(weight * response, axis=0) / np.sum(weight, axis=0)
+        design, roots = self._design(alpha), np.sqrt(weight)
+        spectra = [
+            spectrum(root[:, None] * design, root * target)
+            for root, target in zip(roots.T, (response - offset).T, strict=True)
+        ]
+        known, variances = evidence(spectra, RATIOS)
+        best = int(np.argmax(known))
+        ratio, variance = float(RATIOS[best]), float(variances[best])
+        parts = [posterior(one, ratio, variance) for one in spectra]
+        # In densities of ρ: those of responses times their derivative, which the weights cancel but for this.
+        density = log_density(self.value, dark) + self.value.shape[1] * np.sum(np.log(self.weight)) / 2
+        predictive = sum(-np.sum(part.scores**2 + np.log(2 * np.pi * part.variances)) / 2 for part in parts)
+        self.trials[alpha, dark] = Trial(
+            alpha, dark, float(np.sqrt(ratio * variance)), float(np.sqrt(variance)),
+            float(known[best] + density), float(predictive + density),
+        )  # fmt: skip
+        means = np.stack([part.mean for part in parts], axis=1)
+        self.logarithm = np.clip(offset + design @ means, self.low, self.high)
+        return parts, offset
+
+    def found(self) -> tuple[Trial, list[Posterior], np.ndarray]:
+        """The choice, its posteriors and the offsets of the channels."""
+        dark = DARKS[len(DARKS) // 2]
+        # From the smoothest one on, each about the result of the last.
+        for alpha in (self.alphas[-1], *self.alphas[::-1]):
+            self._try(alpha, dark)
+        for darks in (DARKS, None):
+            best = self._best()
+            for level in darks or (best.dark * step for step in NEAR):
+                self._try(best.alpha, level)
+            best = self._best()
+            place = self.alphas.index(best.alpha)
+            for alpha in self.alphas[max(place - 1, 0) : place + 2]:
+                self._try(alpha, best.dark)
+        best = self._best()
+        for _ in range(ROUNDS - 1):
+            self._try(best.alpha, best.dark)
+        parts, offset = self._try(best.alpha, best.dark)
+        return self.trials[best.alpha, best.dark], parts, offset
+
+    def _best(self) -> Trial:
+        return max(self.trials.values(), key=lambda trial: trial.evidence)
