@@ -30,6 +30,7 @@ def test_every_recipe_has_a_smoke_config():
 
 LONG = (
     "compact_race",
+    "compact_scattered",
     "face_relit",
     "joint_recovery",
     "lighting_recovery",
