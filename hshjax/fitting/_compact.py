@@ -105,8 +105,8 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
       the shape, which channels share; the rest is colour.
     - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
     - `dark`: z ρ [sr^-1] below which differences count less: 0.05. - `everywhere`: share of a flat weight: 0.1.
-    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4, or a hundredth of the largest value where
-      that is less.
+    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4, or a hundredth of the largest value
+      where that is less.
     - `rounds`: of new weights, 4. They take most of the time; with 0 the error grows by a tenth.
     - `ridge`: 3e-6, relative to the diagonal of the normal equations.
     - `energy`: whether to keep the directional albedo at most 1, at eight angles up to 80 degrees. True: least squares

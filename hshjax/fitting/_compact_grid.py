@@ -133,7 +133,7 @@ class GridRows(AbstractRows):
         return found
 
     def evaluate(self, columns):
-        h, d, f = self.grid.shape
+        h, d, _ = self.grid.shape
         channels = columns.shape[1]
         parts = np.zeros((h, d, channels, len(self.azimuth)))
         for p, members in enumerate(self.members):
