@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Float, PairFunction
+from hshjax.bases._warp import AbstractScaledWarp
 from hshjax.brdfs._log_linear import LogLinearBRDF
 from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, Choice, Problem, leading_basis
 from hshjax.fitting._lapack import suited_threads
@@ -21,6 +22,9 @@ from hshjax.samples import Samples
 
 ALPHAS = tuple(float(alpha) for alpha in np.logspace(-6, 0, 13))
 """Scales of the warp that are tried: half a decade apart, from lobes of 0.1 degrees to none."""
+
+BETAS = (0.1, 0.01, 0.001, 0.0001)
+"""Scales of the warp of θ_d that are tried: lobes back to the light from 25 degrees to one."""
 
 HORIZON = float(np.radians(89.5))
 """Where tables and measurements end as a rule, off the normal [radians]."""
@@ -56,7 +60,8 @@ class CompactFit(eqx.Module):
     @property
     def beta(self) -> float | None:
         """The scale of the warp of the difference angle, where the material reflects back to the light; or None."""
-        return getattr(self.model.basis.difference_warp, "alpha", None)  # pyright: ignore[reportAttributeAccessIssue]
+        warp = self.model.basis.difference_warp  # pyright: ignore[reportAttributeAccessIssue]
+        return float(warp.alpha) if isinstance(warp, AbstractScaledWarp) else None
 
 
 def half_vector_samples(
@@ -104,9 +109,11 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     - `coefficients`: how many in all, 25 to 300 as a rule; time grows with their square and more. About two thirds make
       the shape, which channels share; the rest is colour.
     - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
+    - `betas`: scales of the warp of the difference angle to try, `BETAS` by default; () for none. One is taken if it
+      lowers the loss by a tenth.
     - `dark`: z ρ [sr^-1] below which differences count less: 0.05. - `everywhere`: share of a flat weight: 0.1.
-    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4, or a hundredth of the largest value
-      where that is less.
+    - `floor`: values below it [sr^-1], negative ones too, count as that: 1e-4, or that share of the largest value where
+      it is less.
     - `rounds`: of new weights, 4. They take most of the time; with 0 the error grows by a tenth.
     - `ridge`: 3e-6, relative to the diagonal of the normal equations.
     - `energy`: whether to keep the directional albedo at most 1, at eight angles up to 80 degrees. True: least squares
@@ -129,7 +136,8 @@ def fit_compact_all(
     data: Sequence[Samples | PairFunction],
     coefficients: int = 150,
     *,
-    alphas: Sequence[float] | None = None,
+    alphas: Sequence[float] = ALPHAS,
+    betas: Sequence[float] = BETAS,
     dark: float = DARK,
     everywhere: float = EVERYWHERE,
     floor: float = FLOOR,
@@ -150,11 +158,11 @@ def fit_compact_all(
     with jax.enable_x64(True):
         samples = [one if isinstance(one, Samples) else half_vector_samples(_callable(one)) for one in data]
         problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
-        tried = problem.resolved(ALPHAS if alphas is None else alphas)
+        tried, back = problem.resolved(alphas, betas)
 
     def one(k: int) -> Choice:
         with jax.enable_x64(True):  # in this thread
-            return problem.choice(k, tried, rounds, energy=energy)
+            return problem.choice(k, tried, back, rounds, energy=energy)
 
     # A material is a chain of products too small for several threads; several materials are not.
     with suited_threads(0), ThreadPoolExecutor(os.cpu_count()) as pool:

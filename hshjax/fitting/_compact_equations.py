@@ -21,7 +21,7 @@ from hshjax.samples import Samples
 DARK, EVERYWHERE, FLOOR = 0.05, 0.1, 1e-4
 """Defaults of what `fit_compact` says of them."""
 
-DARKEST = 0.01
+DARKEST = 1e-4
 """Share of a material's largest value up to which its floor goes, where that is less."""
 
 MARGIN = 0.7
@@ -32,9 +32,6 @@ GLANCE = 3000
 
 SPARE = 10
 """A function is chosen out of two, and of these more."""
-
-BETAS = (0.1, 0.01, 0.001, 0.0001)
-"""Scales of a lobe about wi = wo that are looked for."""
 
 WORTH = 0.9
 """Share of the loss without one that such a warp must get below."""
@@ -128,34 +125,38 @@ class Problem:
                 f"of {self.coefficients} coefficients"
             )
 
-    def resolved(self, alphas: Sequence[float]) -> tuple[float, ...]:
-        """The scales that the samples resolve: not far below their smallest 1 - cos θ_h, or else the largest."""
-        tried = tuple(float(alpha) for alpha in alphas)
-        if not tried or min(tried) <= 0:
-            raise ValueError(f"scales are positive, at least one, got {tried}")
-        return tuple(alpha for alpha in tried if alpha >= 0.1 * self.o.min()) or (max(tried),)
+    def resolved(self, alphas: Sequence[float], betas: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """The scales that the samples resolve: not far below their smallest 1 - cos θ_h (or else the largest), and
+        1 - cos θ_d.
+        """
+        alphas, betas = (tuple(float(scale) for scale in tried) for tried in (alphas, betas))
+        if not alphas or min((*alphas, *betas)) <= 0:
+            raise ValueError(f"scales are positive, at least one alpha, got {alphas} and betas {betas}")
+        return (
+            tuple(alpha for alpha in alphas if alpha >= 0.1 * self.o.min()) or (max(alphas),),
+            tuple(beta for beta in betas if beta >= 0.1 * self.o_d.min()),
+        )
 
-    def choice(self, k: int, alphas: Sequence[float], rounds: int, *, energy: bool) -> Choice:
+    def choice(self, k: int, alphas: Sequence[float], betas: Sequence[float], rounds: int, *, energy: bool) -> Choice:
         """The fit of material k: its scales, functions of its own, coefficients; with `energy` no albedo is above 1.
 
         Scales are told apart by the functions that lead in `total_order`; the best and its neighbours are tried with
-        functions of the material's own, in so many `rounds` of weights.
+        functions of the material's own, and the best of these in so many `rounds` of weights.
         """
         losses = np.array([self._leading(k, Scale(alpha)) for alpha in alphas])
         best = int(np.argmin(losses))
-        beta = self._back(k, alphas[best], losses[best])
+        beta = self._back(k, alphas[best], betas, losses[best])
         near = [Scale(alpha, beta) for alpha in alphas[max(best - 1, 0) : best + 2]]
         found = min((self._own(k, scale, self.glance, min(rounds, 1)) for scale in near), key=lambda one: one.loss)
         found = self._own(k, found.scale, np.arange(self.weight.size), rounds)
         return self._finished(k, found, losses, energy=energy)
 
-    def _back(self, k: int, alpha: float, loss: float) -> float | None:
+    def _back(self, k: int, alpha: float, betas: Sequence[float], loss: float) -> float | None:
         """The scale of a lobe about wi = wo, if there is one: a warp of θ_d must pay."""
-        tried = [beta for beta in BETAS if beta >= 0.1 * self.o_d.min()]
-        losses = [self._leading(k, Scale(alpha, beta)) for beta in tried]
+        losses = [self._leading(k, Scale(alpha, beta)) for beta in betas]
         if not losses or min(losses) > WORTH * loss:
             return None
-        return tried[int(np.argmin(losses))]
+        return betas[int(np.argmin(losses))]
 
     def _leading(self, k: int, scale: Scale) -> float:
         """The loss of the functions that lead, at a glance, all channels under the same weights."""

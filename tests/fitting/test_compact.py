@@ -195,3 +195,70 @@ def test_materials_that_differ(unchecked):
         fit_compact_all([], 30)
     with pytest.raises(ValueError, match="3 components take as many coefficients"):
         fit_compact(scattered(), 2)
+
+
+def retro_reflector():
+    """A lobe about wi = wo, 3 degrees wide, over a dull base."""
+    base = LogLinearBRDF(HalfVectorBasis([(0, 0, 0)]), [jnp.asarray([np.log(0.1)])])
+
+    def brdf(wi, wo):
+        return base(wi, wo) + 5 * jnp.exp(-jnp.sum((wi - wo) ** 2, axis=-1, keepdims=True) / 0.05**2)
+
+    return brdf
+
+
+def test_retro_reflection_takes_a_warp_of_its_own():
+    """Without one a lobe about wi = wo is out of reach; with one, fewer coefficients do much better."""
+    samples = half_vector_samples(retro_reflector(), shape=(12, 90, 4))
+    without, found = fit_compact(samples, 40, betas=()), fit_compact(samples, 20)
+    assert without.beta is None
+    assert found.beta is not None
+    assert found.log_error < 0.2 * without.log_error
+    assert fit_compact(plastic(), 20).beta is None
+
+
+def test_dark_materials_are_fitted_as_bright_ones():
+    """All values below 1e-4: the floor follows, and the model scales with the material."""
+    dark = half_vector_samples(lambda wi, wo: 1e-4 * PLASTIC(wi, wo), shape=SHAPE)
+    found = fit_compact(dark, 40)
+    value = np.asarray(dark.value)
+    assert value.max() < 0.01
+    error = np.abs(np.asarray(found.model(dark.wi, dark.wo)) / value - 1)
+    assert np.median(error) < 0.02
+    assert found.floored < 0.05
+
+
+def test_spectra_share_a_few_components():
+    """31 channels, four of whose components say all: as many coefficients as a material of one channel takes."""
+    weights = np.stack([np.ones(31), *np.cos(np.pi * np.arange(1, 3)[:, None] * (np.arange(31) + 0.5) / 31)])
+    truth = LogLinearBRDF(
+        HalfVectorBasis(12, LogWarp(jnp.asarray(1e-2))),
+        [jnp.asarray(0.3 * np.random.default_rng(j).normal(size=n)) for j, n in enumerate((12, 6, 6))],
+        jnp.asarray(weights),
+    )
+    found = fit_compact(half_vector_samples(truth, shape=SHAPE), 36, mixing=weights, energy=False)
+    assert found.model.channels == 31
+    assert found.log_error < 1e-3
+
+
+def test_rounds_bring_differences_down():
+    """Weights that follow the fit: closer in ln(1 + ρ z), in the mean, than least squares; none is refused."""
+    samples = half_vector_samples(Lambert([0.2]) + GGX([0.8], 0.05), shape=(48, 12, 4))
+    once, again = fit_compact(samples, 20, rounds=0), fit_compact(samples, 20)
+    assert again.log_error < 0.97 * once.log_error
+    with pytest.raises(ValueError, match="rounds must be >= 0, got -1"):
+        fit_compact(samples, 20, rounds=-1)
+
+
+def test_albedo_is_held_where_samples_are_noisy():
+    """1000 noisy samples of a sharp highlight: free fits reflect more than they get, by any factor."""
+    rng = np.random.default_rng(2)
+    wi, wo = directions(3, 1000), directions(4, 1000)
+    brdf = Lambert([0.1]) + GGX([0.9], 0.03)
+    value = np.asarray(brdf(wi, wo)) * (1 + 0.1 * rng.normal(size=(1000, 1)))
+    found = [
+        fit_compact(Samples.scattered(wi, wo, jnp.asarray(value), isotropic=True), 90, energy=held)
+        for held in (False, True)
+    ]
+    assert found[1].albedo <= 1
+    assert found[1].albedo <= found[0].albedo
