@@ -167,7 +167,7 @@ def _by(names: Iterable[str], models: list, key: Callable) -> list[tuple[list[st
 def _compact(judge: _Judge, samples: list[Samples], count: int) -> list[dict[str, Any]]:
     fits, seconds = _timed(fit_compact_all, samples, count)
     rows = []
-    for names, group in _by(judge.materials, fits, lambda fit: fit.alpha):
+    for names, group in _by(judge.materials, fits, lambda fit: (fit.alpha, fit.beta)):
         rows += judge.rows(names, count, "compact", together([fit.model for fit in group]), seconds)
     return rows
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from hshjax._special import RadialTables, jacobi_matrix, powers, radial_rows, radial_tables
 from hshjax._typing import Array, Float
-from hshjax.bases._isotropic import radial_sums
 from hshjax.bases._pairs import AbstractPairBasis
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
@@ -133,15 +132,23 @@ class HalfVectorBasis(AbstractPairBasis):
         return (norm * azimuth[n.sine, n.p] * half[n.p, n.j] * difference[n.p, n.k]).T
 
     def block_sums(self, coefficients, wi, wo):
+        # A dense product, most of which is zeros, takes less time than a product for every azimuthal order.
         n = function_layout(self.functions)
-        half, difference = n.half.slope.shape[1], n.difference.slope.shape[1]
-        matrices = jnp.zeros((1 + max(n.sine), n.half.counts.size, half, difference, coefficients.shape[1]), wi.dtype)
+        half, difference, azimuth = _factors(self, wi, wo)
+        (p, j, sine), (q, k) = n.left, n.right
+        left, right = half[p, j] * azimuth[sine, p], difference[q, k]
         weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
-        return radial_sums(matrices.at[n.sine, n.p, n.j, n.k].set(weighted), *_factors(self, wi, wo))
+        matrix = jnp.zeros((len(k), coefficients.shape[1], len(j)), wi.dtype)
+        matrix = matrix.at[n.right_at, :, n.left_at].set(weighted)
+        product = jnp.einsum("acb,bp->acp", matrix, left, precision="highest")
+        return jnp.einsum("acp,ap->pc", product, right, precision="highest")
 
 
 class Layout(NamedTuple):
-    """Functions by their factors, host arrays: m = ±2p, degrees j and k of the polynomials, sine or cosine, norm."""
+    """Functions by their factors, host arrays: m = ±2p, degrees j and k of the polynomials, sine or cosine, norm.
+
+    `left` (p, j, sine) and `right` (p, k) are the factors that occur, each once; `left_at`, `right_at`: whose they are.
+    """
 
     p: np.ndarray
     j: np.ndarray
@@ -150,6 +157,10 @@ class Layout(NamedTuple):
     norm: np.ndarray
     half: RadialTables
     difference: RadialTables
+    left: np.ndarray
+    left_at: np.ndarray
+    right: np.ndarray
+    right_at: np.ndarray
 
 
 @lru_cache
@@ -158,8 +169,11 @@ def function_layout(functions: tuple[Mode, ...]) -> Layout:
     p = np.abs(m) // 2
     j, k = a - p, (n - 2 * p) // 2
 
-    norm = np.where(m == 0, 1, np.sqrt(2))
-    return Layout(p, j, k, (m < 0).astype(np.int32), norm, circle_tables(p, j, 2), circle_tables(p, k, 2))
+    norm, sine = np.where(m == 0, 1, np.sqrt(2)), (m < 0).astype(np.int32)
+    left, left_at = np.unique(np.stack([p, j, sine]), axis=1, return_inverse=True)
+    right, right_at = np.unique(np.stack([p, k]), axis=1, return_inverse=True)
+    tables = circle_tables(p, j, 2), circle_tables(p, k, 2)
+    return Layout(p, j, k, sine, norm, *tables, left, left_at.astype(np.int32), right, right_at.astype(np.int32))
 
 
 def circle_tables(order: np.ndarray, degree: np.ndarray, step: int) -> RadialTables:
