@@ -106,8 +106,8 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     **Arguments:**
 
     - `data`: samples [sr^-1, no cosine], any channels; or a BRDF, which is sampled by `half_vector_samples`.
-    - `coefficients`: how many in all, 25 to 300 as a rule; time grows with their square and more. About two thirds make
-      the shape, which channels share; the rest is colour.
+    - `coefficients`: how many in all, 25 to 300 as a rule, 1000 at most; time grows with their square and more. About
+      two thirds make the shape, which channels share; the rest is colour.
     - `alphas`: scales to try, `ALPHAS` by default; of scattered samples those that their smallest half angle resolves.
     - `betas`: scales of the warp of the difference angle to try, `BETAS` by default; () for none. One is taken if it
       lowers the loss by a tenth.

@@ -27,6 +27,9 @@ DARKEST = 1e-4
 MARGIN = 0.7
 """How far ln ρ may leave the range of the data, a factor of two."""
 
+MOST = 1000
+"""Coefficients: time grows with their third power."""
+
 GLANCE = 3000
 """Scattered samples that tell one scale from another."""
 
@@ -259,6 +262,11 @@ def visibility(seen: np.ndarray, dark: float, everywhere: float) -> np.ndarray:
 
 def _sizes(coefficients: int, components: int) -> tuple[int, ...]:
     """Coefficients of each component: two thirds for the first, the others alike."""
+    if coefficients > MOST:
+        raise ValueError(
+            f"a compact model has at most {MOST} coefficients, got {coefficients}: where that is not enough, "
+            "hshjax.tabulate makes a table"
+        )
     if coefficients < components:
         raise ValueError(f"{components} components take as many coefficients at least, got {coefficients}")
     if components == 1:

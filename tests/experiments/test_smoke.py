@@ -29,6 +29,7 @@ def test_every_recipe_has_a_smoke_config():
 
 
 LONG = (
+    "compact_ablation",
     "compact_race",
     "compact_scattered",
     "face_relit",

@@ -195,6 +195,8 @@ def test_materials_that_differ(unchecked):
         fit_compact_all([], 30)
     with pytest.raises(ValueError, match="3 components take as many coefficients"):
         fit_compact(scattered(), 2)
+    with pytest.raises(ValueError, match=r"at most 1000 coefficients, got 2000: .* makes a table"):
+        fit_compact(scattered(), 2000)
 
 
 def retro_reflector():
