@@ -24,7 +24,7 @@ from hshjax import (
     plotting,
     sphere,
 )
-from hshjax._typing import Array
+from hshjax.fitting._blocks import PAIRS, evaluated
 from hshjax.fitting._furnace import furnace_rule
 from hshjax.geometry import frame
 from hshjax.io import read_exr
@@ -43,9 +43,6 @@ POLAR = tuple(np.radians([0, 20, 40, 60, 70, 80]).tolist())
 
 NODES = (240, 64)
 """Of half vectors there, in θ and φ: more than a fit looks at."""
-
-PAIRS = 2**15
-"""Of directions that are looked at together."""
 
 
 class Cells(NamedTuple):
@@ -181,20 +178,6 @@ def _lit(brdf: Callable, pictures: list[Picture]) -> list[np.ndarray]:
             lit = value.reshape(len(value), -1, one.irradiance.shape[1]) * one.irradiance[part, None]
             radiance[pixel[part][first]] += np.add.reduceat(lit.reshape(value.shape), first, axis=0)
     return found
-
-
-def evaluated(brdf: Callable, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    """ρ of any number of pairs, in blocks of one size: it is compiled once."""
-    parts = []
-    for start in range(0, len(wi), PAIRS):
-        block = (jnp.asarray(np.resize(w[start : start + PAIRS], (PAIRS, 3))) for w in (wi, wo))
-        parts.append(np.asarray(_call(brdf, *block))[: len(wi) - start])
-    return np.concatenate(parts)
-
-
-@eqx.filter_jit
-def _call(brdf: Callable, wi: Array, wo: Array) -> Array:
-    return brdf(wi, wo)
 
 
 def psnr(truth: list[np.ndarray], fitted: list[np.ndarray]) -> float:

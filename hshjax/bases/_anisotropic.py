@@ -10,8 +10,7 @@ import numpy as np
 
 from hshjax._special import RadialTables, powers, radial_rows
 from hshjax._typing import Array, Float
-from hshjax.bases._half_vector import circle_tables, circles, first_modes, integers
-from hshjax.bases._pairs import AbstractPairBasis
+from hshjax.bases._half_vector import AbstractHalfVectorBasis, circle_tables, circles, first_modes, integers
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
 Mode = tuple[int, int, int, int]
@@ -68,7 +67,7 @@ def _table(functions: Any) -> tuple[Mode, ...]:
     return integers(functions)
 
 
-class AnisotropicHalfVectorBasis(AbstractPairBasis):
+class AnisotropicHalfVectorBasis(AbstractHalfVectorBasis):
     """Reciprocal functions of the half vector and the difference vector, for materials that a turn changes.
 
         B_jknm = sqrt(j + 1) R_j^|k|(|p|) sqrt(n + 1) R_n^|m|(|q|) Φ_km(φ_h, ψ),    ψ = φ_h + φ_d,
@@ -99,23 +98,6 @@ class AnisotropicHalfVectorBasis(AbstractPairBasis):
     functions: tuple[Mode, ...] = eqx.field(static=True, converter=_table)
     warp: AbstractWarp = eqx.field(default_factory=lambda: LogWarp(jnp.asarray(0.01)))
     difference_warp: AbstractWarp = eqx.field(default_factory=IdentityWarp)
-
-    def __check_init__(self):
-        for warp in (self.warp, self.difference_warp):
-            if not isinstance(warp, AbstractWarp):
-                raise ValueError(f"an AnisotropicHalfVectorBasis needs a warp, got {warp!r}")
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        return self.functions
-
-    @property
-    def count(self) -> int:
-        return len(self.functions)
-
-    @property
-    def reciprocal(self) -> bool:
-        return True
 
     def degrees(self) -> np.ndarray:
         return np.array([(j, n) for j, _, n, _ in self.functions])

@@ -73,7 +73,32 @@ def integers(functions: tuple) -> tuple:
     return table
 
 
-class HalfVectorBasis(AbstractPairBasis):
+class AbstractHalfVectorBasis(AbstractPairBasis):
+    """Reciprocal functions of the half and the difference vector, under a warp of each."""
+
+    functions: eqx.AbstractVar[tuple]
+    warp: eqx.AbstractVar[AbstractWarp]
+    difference_warp: eqx.AbstractVar[AbstractWarp]
+
+    def __check_init__(self):
+        for warp in (self.warp, self.difference_warp):
+            if not isinstance(warp, AbstractWarp):
+                raise ValueError(f"a {type(self).__name__} needs a warp, got {warp!r}")
+
+    @property
+    def modes(self) -> tuple:
+        return self.functions
+
+    @property
+    def count(self) -> int:
+        return len(self.functions)
+
+    @property
+    def reciprocal(self) -> bool:
+        return True
+
+
+class HalfVectorBasis(AbstractHalfVectorBasis):
     """Isotropic reciprocal functions of the half angle θ_h and the difference direction (θ_d, φ_d).
 
         B_anm = U_a^μ V_n^μ Φ_m(φ_d),    U_a^μ = sqrt(2a + 1) u^{μ/2} P_{a-μ/2}^{(0,μ)}(2u - 1),
@@ -100,23 +125,6 @@ class HalfVectorBasis(AbstractPairBasis):
     functions: tuple[Mode, ...] = eqx.field(static=True, converter=_table)
     warp: AbstractWarp = eqx.field(default_factory=lambda: LogWarp(jnp.asarray(0.01)))
     difference_warp: AbstractWarp = eqx.field(default_factory=IdentityWarp)
-
-    def __check_init__(self):
-        for warp in (self.warp, self.difference_warp):
-            if not isinstance(warp, AbstractWarp):
-                raise ValueError(f"a HalfVectorBasis needs a warp, got {warp!r}")
-
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        return self.functions
-
-    @property
-    def count(self) -> int:
-        return len(self.functions)
-
-    @property
-    def reciprocal(self) -> bool:
-        return True
 
     @property
     def isotropic(self) -> bool:

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from hshjax._typing import Array, Float
+from hshjax._typing import Array, Float, PairFunction
 from hshjax.bases import AbstractPairBasis
 from hshjax.bases._base import matmul
+from hshjax.metrics import with_channels
 from hshjax.samples import Samples
 
 ROWS = 4096
@@ -15,6 +18,24 @@ ROWS = 4096
 
 FUSED = 4
 """Channels up to which the fused sum of a series costs less than the row that serves all channels."""
+
+
+PAIRS = 2**15
+"""Of directions that a BRDF is evaluated at together."""
+
+
+def evaluated(brdf: PairFunction, wi: np.ndarray, wo: np.ndarray) -> Float[np.ndarray, "pairs channels"]:
+    """ρ at any number of pairs `(pairs, 3)`, in blocks of one size: it is compiled once. Host arrays."""
+    parts = []
+    for start in range(0, len(wi), PAIRS):
+        block = (jnp.asarray(np.resize(w[start : start + PAIRS], (PAIRS, 3))) for w in (wi, wo))
+        parts.append(np.asarray(_call(brdf, *block))[: len(wi) - start])
+    return np.concatenate(parts)
+
+
+@eqx.filter_jit
+def _call(brdf: PairFunction, wi: Array, wo: Array) -> Array:
+    return with_channels(brdf(wi, wo), 1)
 
 
 def series(

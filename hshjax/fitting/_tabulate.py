@@ -2,22 +2,18 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float, PairFunction
+from hshjax._typing import Float, PairFunction
 from hshjax.brdfs._half_vector_table import HalfVectorTable
 from hshjax.brdfs._tabulated import TabulatedBRDF
+from hshjax.fitting._blocks import evaluated
 from hshjax.fitting._compact import HORIZON
 from hshjax.fitting._isotropy import is_isotropic
 from hshjax.fitting._misfit import ratio
 from hshjax.geometry import from_half_difference
-from hshjax.metrics import with_channels
-
-PAIRS = 2**15
-"""Of directions that are looked at together."""
 
 PLACES = 200_000
 """Centres of cells at which errors are measured; of larger tables an even choice."""
@@ -114,21 +110,7 @@ def _both_ways(
 ) -> Float[np.ndarray, "2 pairs channels"]:
     """ρ at pairs, and at what a swap makes of them."""
     wi, wo = map(np.asarray, from_half_difference(*map(jnp.asarray, (theta_h, theta_d, phi_d))))
-    return np.stack([_evaluated(brdf, wi, wo), _evaluated(brdf, wo, wi)])
-
-
-def _evaluated(brdf: PairFunction, wi: np.ndarray, wo: np.ndarray) -> Float[np.ndarray, "pairs channels"]:
-    """ρ of any number of pairs, in blocks of one size: it is compiled once."""
-    parts = []
-    for start in range(0, len(wi), PAIRS):
-        block = (jnp.asarray(np.resize(w[start : start + PAIRS], (PAIRS, 3))) for w in (wi, wo))
-        parts.append(np.asarray(_call(brdf, *block))[: len(wi) - start])
-    return np.concatenate(parts)
-
-
-@eqx.filter_jit
-def _call(brdf: PairFunction, wi: Array, wo: Array) -> Array:
-    return with_channels(brdf(wi, wo), 1)
+    return np.stack([evaluated(brdf, wi, wo), evaluated(brdf, wo, wi)])
 
 
 def _channel_names(brdf: PairFunction, channels: int) -> tuple[str, ...]:
@@ -152,7 +134,7 @@ def _errors(
     within, seen = lowest >= np.cos(LARGEST), lowest >= np.cos(HORIZON)
     there, back = _both_ways(brdf, *(axis[seen] for axis in angles))
     folded = (there + back) / 2
-    found = _evaluated(table, wi[seen], wo[seen])
+    found = evaluated(table, wi[seen], wo[seen])
     z, weight, within = np.stack([wi[seen, 2], wo[seen, 2]]), measure[seen], within[seen]
 
     def of(places):
