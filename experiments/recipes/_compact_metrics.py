@@ -38,7 +38,7 @@ LAMPS = (((0.55, 0.55, 0.63), 2.0), ((-0.9, 0.3, 0.32), 1.2), ((0.2, -0.75, 0.63
 CEILING = 80.0
 """Of a peak signal-to-noise ratio [dB]."""
 
-POLAR = tuple(np.radians([0, 20, 40, 60, 70, 80]).tolist())
+POLAR = tuple(np.radians(np.arange(0, 81, 8)).tolist())
 """Of the eye in a white furnace [radians]."""
 
 NODES = (240, 64)

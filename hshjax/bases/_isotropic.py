@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._special import powers, radial_rows
-from hshjax._typing import Array, Float
-from hshjax.bases._base import AbstractBasis, Chart
+from hshjax._typing import Array
+from hshjax.bases._base import AbstractBasis, Chart, matmul
 from hshjax.bases._pairs import AbstractProductBasis, Entries
 
 
@@ -74,17 +74,8 @@ class IsotropicBasis(AbstractProductBasis):
         return _rows(self, wi, wo)
 
     def block_sums(self, coefficients, wi, wo):
-        n = self.table()
-        orders, degrees = self.basis.tables().slope.shape
-        weighted = jnp.asarray(n.norm, coefficients.dtype)[:, None] * coefficients
-
-        def matrices(pick, sign):
-            m, j, k = n.m[pick], n.j[pick], n.k[pick]
-            zero = jnp.zeros((orders, degrees, degrees, coefficients.shape[1]), coefficients.dtype)
-            return zero.at[m, j, k].add(weighted[pick]).at[m, k, j].add(sign * weighted[pick])
-
-        kinds = [matrices(~n.sine, 1)] if self.bilateral else [matrices(~n.sine, 1), matrices(n.sine, -1)]
-        return radial_sums(jnp.stack(kinds), *_factors(self, wi, wo))
+        # Rows of a block stay in the cache, and one product with them takes less time than one for every order.
+        return matmul(coefficients.T, self.block_rows(wi, wo).T).T
 
     def __hash__(self) -> int:
         return hash((type(self), self.basis, self.bilateral))
@@ -142,23 +133,6 @@ def _factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array,
     chart_i, chart_o = pairs.basis.chart(wi), pairs.basis.chart(wo)
     square, odd = _difference_chart(chart_i, chart_o)
     return radial_rows(tables, chart_i.x), radial_rows(tables, chart_o.x), powers(square, odd, tables.counts.size)
-
-
-def radial_sums(
-    matrices: Float[Array, "kinds orders j k channels"],
-    left: Float[Array, "orders j pairs"],
-    right: Float[Array, "orders k pairs"],
-    azimuth: Float[Array, "2 orders pairs"],
-) -> Float[Array, "pairs channels"]:
-    """Σ_m Re|Im(s^m) leftᵀ A_m right; of `kinds`, the first goes with the real part of s^m, the second with the other.
-
-    One small product for each order.
-    """
-    total = jnp.zeros((matrices.shape[-1], left.shape[-1]), left.dtype)
-    for kind in range(matrices.shape[0]):
-        product = jnp.einsum("mjkc,mkp->mjcp", matrices[kind], right, precision="highest")
-        total += jnp.einsum("mjcp,mjp->cp", product, left * azimuth[kind][:, None], precision="highest")
-    return total.T
 
 
 def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:

@@ -1,5 +1,6 @@
 """A measured isotropic material as a compact reciprocal model: the logarithm as a series over a half-vector basis."""
 
+import operator
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -40,7 +41,7 @@ class CompactFit(eqx.Module):
       warp (the largest α), or a highlight is sharper than what was tried (the smallest).
     - `log_error`: mean |Δ ln(1 + ρ z)| over samples, channels and the two cosines z, weighted as the samples are. Of
       dark and matte materials that is an absolute error: `hshjax.relative_error` has the relative ones.
-    - `albedo`: the largest directional one, of any channel, up to 80 degrees.
+    - `albedo`: the largest directional one, of any channel, at 17 angles of the eye up to 80 degrees.
     - `samples`: how many have a weight. - `floored`: share of their values that lie below the floor, and count as it.
     """
 
@@ -116,8 +117,8 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
       it is less.
     - `rounds`: of new weights, 4. They take most of the time; with 0 the error grows by a tenth.
     - `ridge`: 3e-6, relative to the diagonal of the normal equations.
-    - `energy`: whether to keep the directional albedo at most 1, at eight angles up to 80 degrees. True: least squares
-      under that constraint; a material that conserves energy is not touched.
+    - `energy`: whether to keep the directional albedo at most 1, every five degrees up to 80. True: of all that do, the
+      model nearest to the fit, in the metric of its normal equations; what conserves energy is not touched.
     - `mixing` `(components, channels)`: see `LogLinearBRDF`; for spectra a few components do.
 
     Found on the host in float64, in blocks; not under `jax.jit`. `fit_compact_all` fits many materials.
@@ -150,6 +151,10 @@ def fit_compact_all(
 
     **Raises:** what `fit_compact` does; ValueError for materials that differ in a direction or in their channels.
     """
+    if isinstance(data, Samples) or callable(data):
+        raise ValueError("fit_compact_all takes several materials, a list of Samples or BRDFs; fit_compact takes one")
+    if operator.index(coefficients) < 1:
+        raise ValueError(f"a model has at least one coefficient, got {coefficients}")
     for name, value in {"dark": dark, "everywhere": everywhere, "floor": floor, "ridge": ridge}.items():
         if not value > 0:
             raise ValueError(f"{name} must be > 0, got {value}")
@@ -165,7 +170,8 @@ def fit_compact_all(
             return problem.choice(k, tried, back, rounds, energy=energy)
 
     # A material is a chain of products too small for several threads; several materials are not.
-    with suited_threads(0), ThreadPoolExecutor(os.cpu_count()) as pool:
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    with suited_threads(0), ThreadPoolExecutor(cores) as pool:
         found = list(pool.map(one, range(len(samples))))
     return [_result(problem, k, one, tried) for k, one in enumerate(found)]
 
@@ -180,7 +186,7 @@ def _callable(data: Any) -> Any:
 def _result(problem: Problem, material: int, found: Choice, alphas: tuple[float, ...]) -> CompactFit:
     """The model of one material, in the default float of the caller."""
     basis = leading_basis(found.scale, problem.candidates)
-    parts = (found.coefficients, problem.mixing, problem.low[material], problem.high[material])
+    parts = (found.coefficients, problem.mixing, found.low, problem.high[material])
     model = LogLinearBRDF(basis, *map(jnp.asarray, parts), terms=found.terms)
     floored = float(problem.floored[material])
     return CompactFit(model, alphas, found.losses, found.log_error, found.albedo, problem.weight.size, floored)

@@ -1,5 +1,6 @@
 """Compact fits of many materials with samples at the same directions. On the host, in float64."""
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from threading import Lock
 from typing import NamedTuple
@@ -15,6 +16,7 @@ from hshjax.fitting._compact_grid import GridRows, find_grid
 from hshjax.fitting._compact_rows import AbstractRows, ScatteredRows
 from hshjax.fitting._eliminate import eliminate
 from hshjax.fitting._furnace import LIMIT, Furnace, conserved
+from hshjax.fitting._least_distance import InfeasibleError
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
 
@@ -32,6 +34,9 @@ MOST = 1000
 
 GLANCE = 3000
 """Scattered samples that tell one scale from another."""
+
+KEPT = 24
+"""Scales at which functions at samples are kept, those asked for last."""
 
 SPARE = 10
 """A function is chosen out of two, and of these more."""
@@ -65,6 +70,7 @@ class Choice(NamedTuple):
     scale: Scale
     terms: np.ndarray
     coefficients: np.ndarray
+    low: np.ndarray
     losses: np.ndarray
     log_error: float
     albedo: float
@@ -108,12 +114,12 @@ class Problem:
         # Off the highlight there is more to see than a grid that follows it has samples of.
         self.emphasis = (self.weight * (0.5 + 0.75 * np.sqrt(2 * theta_h / np.pi)))[:, None]
 
-        self.grid = find_grid(self.wi, self.wo)
+        self.grid = find_grid(self.wi, self.wo, float(jnp.finfo(first.wi.dtype).eps))
         everyone = np.arange(self.weight.size)
         some = np.sort(np.random.default_rng(0).permutation(everyone)[:GLANCE])
         self.glance = everyone if self.grid is not None else some
-        self._rows: dict[tuple[Scale, int], AbstractRows] = {}
-        self._furnaces: dict[Scale, Furnace] = {}
+        self.furnace = Furnace()
+        self._rows: OrderedDict[tuple[Scale, int], AbstractRows] = OrderedDict()
         self._lock = Lock()
 
     def _check(self) -> None:
@@ -124,15 +130,15 @@ class Problem:
                 raise ValueError(f"material {k} is black: no value is above 0")
         if self.weight.size < self.leading[0]:
             raise ValueError(
-                f"{self.weight.size} samples do not determine {self.leading[0]} functions "
-                f"of {self.coefficients} coefficients"
+                f"{self.weight.size} samples do not determine {self.leading[0]} functions of {self.coefficients} "
+                "coefficients: ask for fewer, or take hshjax.infer_compact"
             )
 
     def resolved(self, alphas: Sequence[float], betas: Sequence[float]) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """The scales that the samples resolve: not far below their smallest 1 - cos θ_h (or else the largest), and
         1 - cos θ_d.
         """
-        alphas, betas = (tuple(float(scale) for scale in tried) for tried in (alphas, betas))
+        alphas, betas = (tuple(sorted({float(scale) for scale in tried})) for tried in (alphas, betas))
         if not alphas or min((*alphas, *betas)) <= 0:
             raise ValueError(f"scales are positive, at least one alpha, got {alphas} and betas {betas}")
         return (
@@ -150,8 +156,13 @@ class Problem:
         best = int(np.argmin(losses))
         beta = self._back(k, alphas[best], betas, losses[best])
         near = [Scale(alpha, beta) for alpha in alphas[max(best - 1, 0) : best + 2]]
-        found = min((self._own(k, scale, self.glance, min(rounds, 1)) for scale in near), key=lambda one: one.loss)
-        found = self._own(k, found.scale, np.arange(self.weight.size), rounds)
+        first = min(rounds, 1)
+        found = min((self._own(k, scale, self.glance, first) for scale in near), key=lambda one: one.loss)
+        everyone = np.arange(self.weight.size)
+        if self.glance.size == everyone.size:
+            found = self._own(k, found.scale, everyone, rounds - first, found)
+        else:
+            found = self._own(k, found.scale, everyone, rounds)
         return self._finished(k, found, losses, energy=energy)
 
     def _back(self, k: int, alpha: float, betas: Sequence[float], loss: float) -> float | None:
@@ -167,15 +178,22 @@ class Problem:
         terms = leading_terms(self.leading)
         return self._loss(k, self.glance, self._logarithm(k, scale, self.glance, terms, equations.solve(terms)))
 
-    def _own(self, k: int, scale: Scale, part: np.ndarray, rounds: int) -> Candidate:
+    def _own(self, k: int, scale: Scale, part: np.ndarray, rounds: int, last: Candidate | None = None) -> Candidate:
         """The best of some rounds of functions of the material's own, reweighted by how far the last round was off."""
-        tried, weight = [], self._weight(k, part)
-        for _ in range(rounds + 1):
-            terms, coefficients = self._equations(k, scale, part, weight).choose(self.coefficients)
-            logarithm = self._logarithm(k, scale, part, terms, coefficients)
-            tried.append(Candidate(self._loss(k, part, logarithm), scale, terms, coefficients))
-            weight = self._weight(k, part, logarithm)
+        if last is None:
+            last = self._chosen(k, scale, part, self._weight(k, part))
+        tried = [last]
+        for _ in range(rounds):
+            logarithm = self._logarithm(k, scale, part, last.terms, last.coefficients)
+            last = self._chosen(k, scale, part, self._weight(k, part, logarithm))
+            tried.append(last)
         return min(tried, key=lambda one: one.loss)
+
+    def _chosen(self, k: int, scale: Scale, part: np.ndarray, weight: np.ndarray) -> Candidate:
+        """Least squares under some weights, in functions of the material's own."""
+        terms, coefficients = self._equations(k, scale, part, weight).choose(self.coefficients)
+        logarithm = self._logarithm(k, scale, part, terms, coefficients)
+        return Candidate(self._loss(k, part, logarithm), scale, terms, coefficients)
 
     def _equations(self, k: int, scale: Scale, part: np.ndarray, weight: np.ndarray) -> "_Equations":
         rows = self.rows(scale, part)
@@ -183,25 +201,21 @@ class Problem:
         return _Equations(rows.gram(weight), rows.moment(weight * target), self.mixing, self.candidates, self.ridge)
 
     def rows(self, scale: Scale, part: np.ndarray) -> AbstractRows:
-        """Candidate functions at some samples; kept, for all materials."""
+        """Candidate functions at some samples; kept for all materials, those asked for last."""
         with self._lock:
             key = scale, part.size
             if key not in self._rows:
                 basis, pairs = leading_basis(scale, self.candidates), (self.wi[part], self.wo[part])
                 self._rows[key] = ScatteredRows(basis, *pairs) if self.grid is None else GridRows(basis, self.grid)
+                if len(self._rows) > KEPT:
+                    self._rows.popitem(last=False)
+            self._rows.move_to_end(key)
             return self._rows[key]
 
-    def furnace(self, scale: Scale) -> Furnace:
-        """Light from everywhere on candidate functions; kept, for all materials."""
-        with self._lock:
-            if scale not in self._furnaces:
-                self._furnaces[scale] = Furnace(leading_basis(scale, self.candidates))
-            return self._furnaces[scale]
-
-    def _logarithm(self, k, scale, part, terms, coefficients) -> np.ndarray:
+    def _logarithm(self, k, scale, part, terms, coefficients, low=None) -> np.ndarray:
         """ln ρ of a fit, within its bounds, `(n, channels)`."""
         logarithm = self.rows(scale, part).evaluate(self._columns(terms, coefficients))
-        return np.clip(logarithm, self.low[k], self.high[k])
+        return np.clip(logarithm, self.low[k] if low is None else low, self.high[k])
 
     def _columns(self, terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
         """Coefficients of every candidate function in every channel."""
@@ -232,21 +246,35 @@ class Problem:
 
     def _finished(self, k: int, found: Candidate, losses: np.ndarray, *, energy: bool) -> Choice:
         """With the albedo held below 1, if asked for, and what is to be said of the fit."""
-        everyone = np.arange(self.weight.size)
-        furnace = self.furnace(found.scale)
-        bounds, terms, coefficients = (self.low[k], self.high[k]), found.terms, found.coefficients
-        albedo = furnace.albedo(self._columns(terms, coefficients), *bounds).max()
-        if energy and albedo > LIMIT:
-            matrix = self._equations(k, found.scale, everyone, self._weight(k, everyone)).matrix(terms)
-            coefficients = conserved(furnace, matrix, terms, coefficients, self.mixing, *bounds)
-            albedo = furnace.albedo(self._columns(terms, coefficients), *bounds).max()
-        logarithm = self._logarithm(k, found.scale, everyone, terms, coefficients)
+        everyone, (scale, terms, coefficients) = np.arange(self.weight.size), found[1:]
+        basis, low, high = leading_basis(scale, self.candidates), self.low[k], self.high[k]
+        nodes = jnp.asarray(self.furnace.wi), jnp.asarray(self.furnace.wo)
+        logarithm = self._logarithm(k, scale, everyone, terms, coefficients)
+
+        def albedo() -> float:
+            exponent = np.asarray(basis.evaluate(jnp.asarray(self._columns(terms, coefficients)), *nodes))
+            return float(self.furnace.sums(np.exp(np.clip(exponent, low, high))).max())
+
+        largest = albedo()
+        if energy and largest > LIMIT:
+            matrix = self._equations(k, scale, everyone, self._weight(k, everyone, logarithm)).matrix(terms)
+            functions = np.asarray(basis(*nodes))
+            try:
+                coefficients, low = conserved(
+                    self.furnace, functions, matrix, terms, coefficients, self.mixing, low, high
+                )
+            except InfeasibleError as error:
+                raise ValueError(
+                    f"material {k} has an albedo of {largest:.3g}, and no coefficients of its functions bring it below "
+                    "1: energy=False fits it as it is"
+                ) from error
+            logarithm, largest = self._logarithm(k, scale, everyone, terms, coefficients, low), albedo()
         errors = [
             np.abs(np.log1p(z * np.exp(logarithm)) - np.log1p(z * self.value[k]))
             for z in (self.wi[:, 2:], self.wo[:, 2:])
         ]
         mean = np.average(np.mean(errors, axis=(0, 2)), weights=self.weight)
-        return Choice(found.scale, terms, coefficients, losses, float(mean), float(albedo))
+        return Choice(scale, terms, coefficients, low, losses, float(mean), largest)
 
 
 def leading_basis(scale: Scale, sizes: Sequence[int]) -> HalfVectorBasis:
@@ -297,13 +325,16 @@ class _Equations:
         """The normal matrix of some terms, with the ridge."""
         place = self._place(terms)
         found = self.system[np.ix_(place, place)]
-        return found + self.ridge * np.diag(np.diag(found))
+        diagonal = np.diag(found)
+        return found + self.ridge * np.diag(
+            np.where(diagonal > 0, diagonal, 1)
+        )  # 0 where a function is, at all samples
 
     def solve(self, terms: np.ndarray) -> np.ndarray:
         """Coefficients of some terms (function, component)."""
         return np.linalg.solve(self.matrix(terms), self.moment[self._place(terms)])
 
     def choose(self, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """The `count` terms that matter most, and their coefficients."""
-        kept, coefficients = eliminate(self.system, self.moment, count, ridge=self.ridge)
+        """The `count` terms that matter most, and their coefficients; the constant, which is brightness, among them."""
+        kept, coefficients = eliminate(self.system, self.moment, count, ridge=self.ridge, needed=1)
         return self.terms[kept], coefficients

@@ -10,11 +10,8 @@ from hshjax.bases._half_vector import half_chart
 from hshjax.bases._half_vector_grid import separated
 from hshjax.fitting._compact_rows import AbstractRows
 
-TOLERANCE = 1e-7
-"""Of coordinates that count as one level; relative where they run over nine decades."""
-
-NOTHING = 1e-14
-"""Of 1 - cos θ_h and 1 - cos θ_d: what rounding makes of 0."""
+ROUNDING = 16
+"""Units in the last place of a component of a direction: what lies closer counts as one level."""
 
 SPARSE = 4
 """Cells for each sample up to which samples count as a grid."""
@@ -33,36 +30,39 @@ class Grid(NamedTuple):
         return self.half.size, self.difference.size, self.cosine.size
 
 
-def find_grid(wi: np.ndarray, wo: np.ndarray) -> Grid | None:
+def find_grid(wi: np.ndarray, wo: np.ndarray, precision: float = np.finfo(np.float64).eps) -> Grid | None:
     """The grid that pairs `(n, 3)` lie on, or None where they are scattered.
 
-    Directions in float32 are scattered: near the mirror direction their half angles are no levels.
+    `precision`: of the directions, as they were given. Levels must be apart by more than what it makes of one.
     """
     identity = IdentityWarp()
     chart = half_chart(identity, jnp.asarray(wi), jnp.asarray(wo), identity)
     u, v, re, im = (np.asarray(part) for part in (chart.u, chart.v, *chart.turn))
-    azimuthal = (u > NOTHING) & (v > NOTHING)  # elsewhere functions of φ_d vanish
+    least = ROUNDING * precision
+    h, d = np.sqrt(2 * u), np.sqrt(2 * v)  # about sines, which rounding moves by as much wherever they are
+    azimuthal = (h > least) & (d > least)  # elsewhere φ_d has no meaning, and functions of it vanish
     cosine = np.where(azimuthal, re / np.where(azimuthal, np.hypot(re, im), 1), 1.0)
-    axes, places, cells = [], [], 1
-    for coordinate, scale in ((u, u), (v, v), (cosine, np.ones_like(cosine))):
-        level, place = _levels(coordinate, np.maximum(TOLERANCE * scale, NOTHING))
-        cells *= level.size
-        if cells > SPARSE * len(wi):
+    blurred = least / min(np.min(one[azimuthal], initial=1) for one in (h, d))
+    levels, places, cells = [], [], 1
+    for coordinate, tolerance in ((h, least), (d, least), (cosine, blurred)):
+        found = _levels(coordinate, tolerance)
+        cells *= found[0].size
+        if cells > SPARSE * len(wi) or np.max(np.abs(found[0][found[1]] - coordinate)) > tolerance:
             return None
-        axes.append(level)
-        places.append(place)
-    half, difference, azimuth = axes
-    cell = np.ravel_multi_index(tuple(places), [axis.size for axis in axes])
-    return Grid(half, difference, azimuth, np.asarray(cell))
+        levels.append(found[0])
+        places.append(found[1])
+    half, difference, azimuth = levels
+    cell = np.ravel_multi_index(tuple(places), [axis.size for axis in levels])
+    return Grid(half**2 / 2, difference**2 / 2, azimuth, np.asarray(cell))
 
 
-def _levels(x: np.ndarray, tolerance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The values that occur, increasing, and which of them each is."""
+def _levels(x: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """The means of what lies together, increasing, and to which of them each belongs."""
     order = np.argsort(x, kind="stable")
-    apart = np.diff(x[order]) > tolerance[order[1:]]
+    first = np.r_[True, np.diff(x[order]) > tolerance]
     place = np.empty(x.size, int)
-    place[order] = np.r_[0, np.cumsum(apart)]
-    return x[order][np.r_[True, apart]], place
+    place[order] = np.cumsum(first) - 1
+    return np.bincount(place, x) / np.bincount(place), place
 
 
 class _Products(NamedTuple):

@@ -6,12 +6,14 @@ SHARE = 0.1
 """Of the unknowns that are left, how many leave at a time."""
 
 
-def eliminate(matrix: np.ndarray, moment: np.ndarray, count: int, *, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+def eliminate(
+    matrix: np.ndarray, moment: np.ndarray, count: int, *, ridge: float, needed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
     """`count` unknowns of min xᵀ A x - 2 bᵀ x, increasing, and their values where the others are 0. Host arrays.
 
     Those leave whose absence costs least, x_k² / (A⁻¹)_kk, which is exact for one that leaves by itself. All are solved
     for anew after each step, by a downdate of A⁻¹. `ridge` is relative to the diagonal of A, and must hold A where it
-    is singular.
+    is singular. The first `needed` unknowns stay.
 
     Source: Hassibi and Stork, Second Order Derivatives for Network Pruning: Optimal Brain Surgeon, NIPS 1992, Eq. 5.
     """
@@ -24,7 +26,9 @@ def eliminate(matrix: np.ndarray, moment: np.ndarray, count: int, *, ridge: floa
         inverse = _inverse(matrix)
         value = inverse @ moment
         while kept.size > count:
-            order = np.argsort(value**2 / np.diag(inverse), kind="stable")
+            cost = value**2 / np.diag(inverse)
+            cost[:needed] = np.inf
+            order = np.argsort(cost, kind="stable")
             leaving = min(kept.size - count, max(1, int(SHARE * kept.size)))
             out, stay = order[:leaving], np.sort(order[leaving:])
             update = np.linalg.solve(inverse[np.ix_(out, out)], inverse[np.ix_(out, stay)])

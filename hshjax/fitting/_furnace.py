@@ -3,12 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax.bases import HalfVectorBasis
 from hshjax.fitting._least_distance import least_distance
 from hshjax.geometry import direction
 
-POLAR = (0.0, 20.0, 40.0, 55.0, 65.0, 72.0, 76.0, 80.0)
-"""Angles of the eye [degrees]: denser where reflection rises."""
+POLAR = tuple(np.radians(np.arange(0, 81, 5)).tolist())
+"""Angles of the eye [radians]."""
 
 NODES = (96, 24)
 """Of half vectors in θ and φ."""
@@ -40,65 +39,75 @@ def furnace_rule(
 
 
 class Furnace:
-    """Directional albedos ∫ ρ z_i dω_i as sums over half vectors, on nodes that follow highlights.
+    """Directional albedos ∫ ρ z_i dω_i at the angles `POLAR`: sums over half vectors, on nodes that follow highlights.
 
-    `functions` `(angles, nodes, functions)` and `weight` `(angles, nodes)`, 0 where light comes from below.
+    `wi`, `wo` `(nodes, 3)` and `weight` `(nodes,)`, angle after angle; those of one begin at `start`.
     """
 
-    def __init__(self, basis: HalfVectorBasis):
-        functions, weights = [], []
-        for angle in np.radians(POLAR).tolist():
+    def __init__(self):
+        parts = []
+        for angle in POLAR:
             wi, wo, weight = furnace_rule(angle, NODES, turn=np.pi)
-            functions.append(np.asarray(basis(jnp.asarray(wi), jnp.broadcast_to(jnp.asarray(wo), wi.shape))))
-            weights.append(weight)
-        self.functions, self.weight = np.stack(functions), np.stack(weights)
+            lit = weight > 0
+            parts.append((wi[lit], np.broadcast_to(wo, wi[lit].shape), weight[lit]))
+        self.wi, self.wo, self.weight = (np.concatenate(part) for part in zip(*parts, strict=True))
+        self.start = np.cumsum([0, *(len(weight) for *_, weight in parts[:-1])])
 
-    def albedo(self, columns: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """`(angles, channels)`, of coefficients `(functions, channels)` and bounds of ln ρ."""
-        return np.einsum("an,anc->ac", self.weight, np.exp(np.clip(self.functions @ columns, low, high)))
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Of values at the nodes, weighted, `(angles, ...)`."""
+        return np.add.reduceat(self.weight[:, None] * values, self.start, axis=0)
 
     def logarithm(
-        self, columns: np.ndarray, low: np.ndarray, mixing: np.ndarray, terms: np.ndarray
+        self, exponent: np.ndarray, low: np.ndarray, functions: np.ndarray, mixing: np.ndarray, terms: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """ln of albedos without the upper bounds, `(angles, channels)`, and its derivatives in coefficients of terms
-        (function, component), `(angles, channels, terms)`. It is convex: a sum of exponentials.
+        """ln of albedos `(angles, channels)` of ρ = exp(max(exponent, low)), and its derivatives in coefficients of
+        terms (function, component), `(angles, channels, terms)`. It is convex: a sum of exponentials.
         """
-        exponent = np.maximum(self.functions @ columns, low)
-        largest = exponent.max(axis=1, keepdims=True)
-        value = self.weight[..., None] * np.exp(exponent - largest)
-        total = value.sum(axis=1)
-        inner = np.einsum("anc,anf->acf", np.where(exponent > low, value, 0), self.functions, optimize=True)
-        slope = inner[..., terms[:, 0]] * mixing[terms[:, 1]].T / total[..., None]
-        return largest[:, 0] + np.log(total), slope
+        raised = np.maximum(exponent, low)
+        largest = np.maximum.reduceat(raised, self.start, axis=0)
+        counts = np.diff([*self.start, len(raised)])
+        value = np.exp(raised - np.repeat(largest, counts, axis=0))
+        total = self.sums(value)
+        free = np.where(exponent > low, self.weight[:, None] * value, 0)
+        parts = zip(np.split(free, self.start[1:]), np.split(functions, self.start[1:]), strict=True)
+        inner = np.stack([weighted.T @ rows for weighted, rows in parts])
+        slope = inner[..., terms[:, 0]] * mixing[terms[:, 1]].T
+        return largest + np.log(total), slope / total[..., None]
 
 
 def conserved(
     furnace: Furnace,
+    functions: np.ndarray,
     matrix: np.ndarray,
     terms: np.ndarray,
     coefficients: np.ndarray,
     mixing: np.ndarray,
     low: np.ndarray,
     high: np.ndarray,
-) -> np.ndarray:
-    """The coefficients nearest to some, in the metric of their normal matrix, with no albedo of `Furnace` above 1.
+) -> tuple[np.ndarray, np.ndarray]:
+    """The coefficients nearest to some, in the metric of their normal matrix, with no albedo of `Furnace` above 1; and
+    the lower bounds of ln ρ that this takes.
 
-    Logarithms of albedos are convex, so their tangents are inequalities that every answer satisfies. Those where the
-    last step ended are added to the ones before, and the nearest point is taken under all, until the albedos hold; at
-    most `STEPS` times. (The last tangents alone go in circles where a fit is far from conserving energy.)
+    `functions` `(nodes, functions)` are those at its nodes. Logarithms of albedos are convex, so their tangents are
+    inequalities that every answer satisfies. Those where the last step ended are added to the ones before, and the
+    nearest point is taken under all, until the albedos hold; at most `STEPS` times. (The last tangents alone go in
+    circles where a fit is far from conserving energy.) Upper bounds of ln ρ are left out of them, they only help; a
+    lower one above ln(1/2π) is lowered to that, for by itself it reflects half of the light or more.
     """
-    columns = np.zeros((furnace.functions.shape[-1], mixing.shape[0]))
+    low = np.minimum(low, -np.log(2 * np.pi))
+    columns = np.zeros((functions.shape[1], mixing.shape[0]))
     root, found = np.linalg.cholesky(matrix).T, coefficients
     rows, bounds = np.zeros((0, coefficients.size)), np.zeros(0)
     for _ in range(STEPS):
         columns[terms[:, 0], terms[:, 1]] = found
-        if furnace.albedo(columns @ mixing, low, high).max() <= LIMIT:
+        exponent = functions @ (columns @ mixing)
+        if furnace.sums(np.exp(np.clip(exponent, low, high))).max() <= LIMIT:
             break
-        logarithm, slope = furnace.logarithm(columns @ mixing, low, mixing, terms)
+        logarithm, slope = furnace.logarithm(exponent, low, functions, mixing, terms)
         logarithm, slope = logarithm.ravel(), slope.reshape(logarithm.size, -1)
         above = logarithm > 0
         # A hair below the limit: steps come from outside, for tangents are too low.
         bounds = np.r_[bounds, logarithm[above] - slope[above] @ found - np.log(LIMIT - 1e-4)]
         rows = np.concatenate([rows, -slope[above]])
         found = least_distance(root, coefficients, rows, bounds).point
-    return found
+    return found, low

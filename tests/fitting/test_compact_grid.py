@@ -1,6 +1,5 @@
 """Samples on a grid: found as such, and their sums those of the same samples one by one."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -78,8 +77,21 @@ def test_sines_have_no_place():
         GridRows(HalfVectorBasis([(1, 2, -2)]), grid)
 
 
-def test_float32_directions_are_scattered():
-    """Half angles near the mirror direction are not levels there; and nothing is lost but time."""
-    wi, wo = (w.astype(np.float32) for w in pairs())
-    with jax.enable_x64(True):
-        assert find_grid(wi.astype(np.float64), wo.astype(np.float64)) is None
+def test_directions_in_float32_are_on_the_same_grid():
+    """Half angles near the mirror direction have three digits left there: enough to tell levels."""
+    wi, wo = pairs()
+    coarse = (w.astype(np.float32).astype(np.float64) for w in (wi, wo))
+    exact, found = find_grid(wi, wo), find_grid(*coarse, precision=float(np.finfo(np.float32).eps))
+    assert exact is not None
+    assert found is not None
+    np.testing.assert_array_equal(found.cell, exact.cell)
+    np.testing.assert_allclose(np.sqrt(found.half), np.sqrt(exact.half), atol=1e-6)
+    assert find_grid(wi.astype(np.float32).astype(np.float64), wo) is None  # as if they were exact
+
+
+def test_angles_of_two_digits_are_a_grid_or_none():
+    """Levels that rounding has spread into each other are not taken for one."""
+    rng = np.random.default_rng(0)
+    wi, wo = (w + rng.uniform(-1, 1, w.shape) * 1e-3 for w in pairs())
+    wi, wo = (w / np.linalg.norm(w, axis=1, keepdims=True) for w in (wi, wo))
+    assert find_grid(wi, wo, precision=1e-3) is None

@@ -54,3 +54,12 @@ def test_singular_equations_are_held_by_the_ridge():
     kept, value = eliminate(rows.T @ rows, rows.T @ target, 4, ridge=1e-6)
     assert 3 not in kept
     assert np.all(np.isfinite(value))
+
+
+def test_what_is_needed_stays():
+    """Though it explains nothing."""
+    rows, target = problem(50, 8)
+    matrix, moment = rows.T @ rows, rows.T @ target
+    moment[0] = 0
+    kept, _ = eliminate(matrix, moment, 1, ridge=1e-14, needed=1)
+    np.testing.assert_array_equal(kept, [0])
