@@ -29,7 +29,7 @@ from hshjax.bases import IdentityWarp, LogWarp, RationalWarp
 from hshjax.bases._warp import AbstractWarp
 from hshjax.fitting import LogCosineWeighted, SampleMisfit, initial_guesses, multi_start
 from hshjax.fitting._compact import ALPHAS
-from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, MARGIN, visibility
+from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, MARGIN, floored, visibility
 
 CUT = 1e-10
 """Singular values of a design, relative to the largest, below which nothing is determined."""
@@ -86,8 +86,9 @@ def exponential_series(samples: Sequence[Samples], basis: IsotropicBasis) -> lis
     design = np.asarray(basis(first.wi, first.wo))
     cosine = np.asarray(first.wi[:, 2:] + first.wo[:, 2:]) / 2
     for one in samples:
-        target = np.log(np.maximum(one.value, FLOOR))
-        roots = np.sqrt(np.asarray(one.weight)[:, None] * visibility(cosine * np.asarray(one.value), DARK, EVERYWHERE))
+        value = floored(np.asarray(one.value), FLOOR)
+        target = np.log(value)
+        roots = np.sqrt(np.asarray(one.weight)[:, None] * visibility(cosine * value, DARK, EVERYWHERE))
         columns = [
             jnp.asarray(_least_squares(root[:, None] * design, (root * logarithm)[:, None], 1e-6)[:, 0])
             for root, logarithm in zip(roots.T, target.T, strict=True)

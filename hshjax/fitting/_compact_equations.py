@@ -101,9 +101,9 @@ class Problem:
         # Few samples do not tell which functions matter.
         limit = self.weight.size // 3
         self.candidates = tuple(max(size, min(2 * size + SPARE, limit)) for size in self.leading)
-        floors = np.minimum(floor, DARKEST * self.value.max(axis=(1, 2)))[:, None, None]
-        self.floored = np.mean(self.value < floors, axis=(1, 2))
-        self.value = np.maximum(self.value, floors)
+        raised = np.stack([floored(value, floor) for value in self.value])
+        self.floored = np.mean(self.value < raised, axis=(1, 2))
+        self.value = raised
         self.target = np.log(self.value)
         self.low, self.high = self.target.min(axis=1) - MARGIN, self.target.max(axis=1) + MARGIN
 
@@ -281,6 +281,11 @@ def leading_basis(scale: Scale, sizes: Sequence[int]) -> HalfVectorBasis:
     """The functions that components of these sizes need, the first of which is the largest, at one scale."""
     back = IdentityWarp() if scale.beta is None else LogWarp(jnp.asarray(scale.beta))
     return HalfVectorBasis(total_order(sizes[0]), LogWarp(jnp.asarray(scale.alpha)), back)
+
+
+def floored(value: np.ndarray, floor: float) -> np.ndarray:
+    """Values of one material, none below the floor, or below `DARKEST` of its largest value where that is less."""
+    return np.maximum(value, min(floor, DARKEST * value.max()))
 
 
 def visibility(seen: np.ndarray, dark: float, everywhere: float) -> np.ndarray:
