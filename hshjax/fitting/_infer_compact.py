@@ -86,7 +86,8 @@ def infer_compact(
     with jax.enable_x64(True), suited_threads(functions):
         search = _Search(samples, functions, ALPHAS if alphas is None else alphas)
         trial, parts, offset = search.found()
-        basis = HalfVectorBasis(search.modes, LogWarp(jnp.asarray(trial.alpha)))
+    # The model has the caller's default float, or a caller without float64 cannot load it again.
+    basis = HalfVectorBasis(search.modes, LogWarp(jnp.asarray(trial.alpha)))
     channels = len(parts)
     coefficients = np.stack([search.deviations * part.mean for part in parts])
     coefficients[:, 0] += offset

@@ -10,7 +10,7 @@ from hshjax.brdfs import GGX, Lambert, LogLinearBRDF
 from hshjax.fitting import infer_compact
 from hshjax.fitting._compact_posterior import _offered
 from hshjax.fitting._infer_compact import prior_deviations
-from hshjax.io import save_model
+from hshjax.io import load_model, save_model
 from hshjax.samples import Samples
 from tests.fitting.test_compact import PLASTIC, POOR, far_and_near, scattered
 from tests.helpers import DTYPE, X64, directions, slow_unless
@@ -250,7 +250,11 @@ def test_posteriors_are_compiled_and_follow_the_directions():
 
 def test_models_are_saved(tmp_path):
     samples, _ = noisy(PLASTIC, 60, 2)
-    save_model(tmp_path / "few.hshjax", infer_compact(samples, FEW).model)
+    model = infer_compact(samples, FEW).model
+    save_model(tmp_path / "few.hshjax", model)
+    loaded = load_model(tmp_path / "few.hshjax")
+    assert eqx.tree_equal(loaded, model)
+    np.testing.assert_array_equal(loaded(samples.wi, samples.wo), model(samples.wi, samples.wo))
 
 
 REFUSED = {
