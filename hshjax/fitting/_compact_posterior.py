@@ -101,13 +101,16 @@ class CompactPosterior(eqx.Module):
 
     @property
     def factor(self) -> Float[Array, ""]:
-        """By what predicted deviations are multiplied: `reach` of 0.9 over that of a Gaussian. About 1 as a rule."""
-        return self.reach(LEVEL) / NormalDist().inv_cdf((1 + LEVEL) / 2)
+        """By what predicted deviations are multiplied: `reach` of 0.9 over that of a Gaussian.
+
+        About 1 as a rule. Where it is less (exact samples, or noise with outliers), only the noise and the misfit are
+        narrowed, and what the coefficients leave open is not: samples say nothing of what is far from all of them.
+        """
+        return self.reach(LEVEL) / _gaussian(LEVEL)
 
     def log_deviation(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> Real:
-        """Standard deviation of ln ρ of the surface, `(*batch, channels)`, misfit included, times `factor`."""
-        variance = self._variance(*as_directions(wi, wo))
-        return self.factor.astype(variance.dtype) * jnp.sqrt(variance + self.misfit**2)
+        """Standard deviation of ln ρ of the surface, `(*batch, channels)`, misfit included, scaled as `factor` says."""
+        return self._reached(LEVEL, self._variance(*as_directions(wi, wo)), self.misfit) / _gaussian(LEVEL)
 
     def interval(
         self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"], level: float = LEVEL, *, noise: bool = False
@@ -121,14 +124,18 @@ class CompactPosterior(eqx.Module):
         **Raises:** ValueError as `reach` does.
         """
         wi, wo = as_directions(wi, wo)
-        size, reach = self.noise if noise else self.misfit, self.reach(level).astype(wi.dtype)
-        value = self.model(wi, wo)
-        deviation = reach * jnp.sqrt(self._variance(wi, wo) + size**2)
+        value, size = self.model(wi, wo), self.noise if noise else self.misfit
+        deviation = self._reached(level, self._variance(wi, wo), size)
         low, high = value * jnp.exp(-deviation), value * jnp.exp(deviation)
         if not noise:
             return low, high
-        floor = reach * self.noise * self.dark
+        floor = self.reach(level).astype(wi.dtype) * self.noise * self.dark
         return value - jnp.hypot(value - low, floor), value + jnp.hypot(high - value, floor)
+
+    def _reached(self, level: float, variance: Real, size: float) -> Real:
+        """How far ln ρ is in that share of cases, of a variance of the coefficients and a deviation of the rest."""
+        reach = self.reach(level).astype(variance.dtype)
+        return jnp.sqrt(jnp.maximum(reach, _gaussian(level)) ** 2 * variance + (reach * size) ** 2)
 
     def _variance(self, wi: Real, wo: Real) -> Real:
         """Of ln ρ, `(*batch, channels)`, from the coefficients alone."""
@@ -162,7 +169,7 @@ class CompactPosterior(eqx.Module):
             k = int(np.argmax(np.where(free, np.sum(weight * variance, axis=1), -1)))
             free[k] = False
             chosen.append(k)
-            deviation.append(float(self.factor) * np.sqrt(np.mean(variance[k])))
+            deviation.append(max(float(self.factor), 1.0) * np.sqrt(np.mean(variance[k])))
             parts = [_updated(part, part[k], noise[k, channel]) for channel, part in enumerate(parts)]
         return Suggestion(jnp.asarray(wi[chosen]), jnp.asarray(wo[chosen]), jnp.asarray(np.array(deviation)))
 
@@ -178,6 +185,11 @@ class CompactPosterior(eqx.Module):
         for row, size in zip(rows, noise, strict=True):
             roots = np.stack([_updated(root, row @ root, one) for root, one in zip(roots, size, strict=True)])
         return eqx.tree_at(lambda found: found.roots, self, jnp.asarray(roots, self.roots.dtype))
+
+
+def _gaussian(level: float) -> float:
+    """How many deviations hold that share of a Gaussian."""
+    return NormalDist().inv_cdf((1 + level) / 2)
 
 
 def _updated(root: np.ndarray, seen: np.ndarray, noise: float) -> np.ndarray:
