@@ -151,17 +151,15 @@ class CompactPosterior(eqx.Module):
         below 80 degrees. Variances of ln ρ are summed over channels with the weights of compact fits: what is hardly
         seen counts less (`hshjax.fit_compact`). On the host, in float64.
 
-        **Raises:** ValueError for a count below 1 or above the number of candidates, for candidates below the horizon.
+        **Raises:** ValueError for a count below 1 or above the number of candidates, for candidates on the horizon or
+        below it.
         """
-        wi, wo = (np.asarray(w, np.float64) for w in (_offered() if candidates is None else candidates))
+        wi, wo = _measurable(*(_offered() if candidates is None else candidates))
         if not 1 <= count <= len(wi):
             raise ValueError(f"of {len(wi)} candidates 1 to {len(wi)} can be suggested, got {count}")
-        if np.any(wi[:, 2] <= 0) or np.any(wo[:, 2] <= 0):
-            raise ValueError("candidates lie above the horizon, z > 0 in both directions")
-        pairs = jnp.asarray(wi), jnp.asarray(wo)
-        value, rows = np.asarray(self.model(*pairs), np.float64), np.asarray(self.model.basis(*pairs), np.float64)
-        weight = visibility((wi[:, 2:] + wo[:, 2:]) / 2 * value, DARK, EVERYWHERE)
-        noise = self.noise**2 * (1 + (self.dark / value) ** 2)
+        value, rows, noise = self._told(wi, wo)
+        seen = (wi[:, 2:] + wo[:, 2:]) / 2 * value
+        weight = visibility(seen, DARK, EVERYWHERE)
         parts = [rows @ np.asarray(root, np.float64) for root in self.roots]
         free, chosen, deviation = np.ones(len(wi), bool), [], []
         for _ in range(count):
@@ -173,18 +171,24 @@ class CompactPosterior(eqx.Module):
             parts = [_updated(part, part[k], noise[k, channel]) for channel, part in enumerate(parts)]
         return Suggestion(jnp.asarray(wi[chosen]), jnp.asarray(wo[chosen]), jnp.asarray(np.array(deviation)))
 
-    def measured(self, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> "CompactPosterior":
-        """What would be known once these pairs were measured as well: deviations shrink, the model stays.
+    def measured(self, wi: Float[Array, "... 3"], wo: Float[Array, "... 3"]) -> "CompactPosterior":
+        """What would be known once these pairs, or this one, were measured as well: deviations shrink, the model stays.
 
         How much a measurement tells does not depend on what it gives, as long as ρ is about what the model says.
+
+        **Raises:** ValueError for directions on the horizon or below it, where there is nothing to measure.
         """
-        value = np.asarray(self.model(wi, wo), np.float64)
-        rows = np.asarray(self.model.basis(*as_directions(wi, wo)), np.float64)
-        noise = self.noise**2 * (1 + (self.dark / value) ** 2)
+        _, rows, noise = self._told(*_measurable(wi, wo))
         roots = np.asarray(self.roots, np.float64)
         for row, size in zip(rows, noise, strict=True):
             roots = np.stack([_updated(root, row @ root, one) for root, one in zip(roots, size, strict=True)])
         return eqx.tree_at(lambda found: found.roots, self, jnp.asarray(roots, self.roots.dtype))
+
+    def _told(self, wi: np.ndarray, wo: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """ρ `(n, channels)`, functions `(n, functions)`, variances of ln ρ as measured `(n, channels)`; of the host."""
+        pairs = jnp.asarray(wi), jnp.asarray(wo)
+        value, rows = (np.asarray(part, np.float64) for part in (self.model(*pairs), self.model.basis(*pairs)))
+        return value, rows, self.noise**2 * (1 + (self.dark / value) ** 2)
 
 
 def _gaussian(level: float) -> float:
@@ -199,6 +203,20 @@ def _updated(root: np.ndarray, seen: np.ndarray, noise: float) -> np.ndarray:
     """
     total = seen @ seen + noise
     return root - (root @ seen)[:, None] * (seen / (total + np.sqrt(noise * total)))
+
+
+def _measurable(wi: Real | np.ndarray, wo: Real | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs `(n, 3)` of whatever batch, above the horizon in both directions, or a ValueError. Host arrays, float64."""
+    pair = np.broadcast_arrays(*as_directions(jnp.asarray(wi), jnp.asarray(wo)))
+    wi, wo = (np.asarray(w, np.float64).reshape(-1, 3) for w in pair)
+    lowest = np.minimum(wi[:, 2], wo[:, 2])
+    below = np.flatnonzero(~(lowest > 0))
+    if below.size:
+        raise ValueError(
+            f"pairs to measure lie above the horizon, z > 0 in both directions: {below.size} of {len(wi)} do not, "
+            f"the first is pair {below[0]} with z = {lowest[below[0]]:g}"
+        )
+    return wi, wo
 
 
 @lru_cache

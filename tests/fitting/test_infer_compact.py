@@ -247,8 +247,29 @@ def test_suggestions_follow_the_update():
     assert asked.log_deviation[5] == pytest.approx(expected, rel=1e-9)
     with pytest.raises(ValueError, match="of 60 candidates 1 to 60 can be suggested, got 61"):
         found.suggest(61, candidates)
-    with pytest.raises(ValueError, match="candidates lie above the horizon"):
-        found.suggest(1, (-candidates[0], candidates[1]))
+
+
+@needs_x64
+def test_one_pair_is_measured_and_none_on_the_horizon(unchecked):
+    """`measured` and `suggest` take and refuse the same."""
+    found = infer_compact(noisy(PLASTIC, 60, 9)[0], FEW)
+    wi, wo = directions(1, 6, min_z=0.2), directions(2, 6, min_z=0.2)
+    np.testing.assert_array_equal(found.measured(wi[0], wo[0]).roots, found.measured(wi[:1], wo[:1]).roots)
+    batch = found.measured(wi.reshape(2, 3, 3), wo.reshape(2, 3, 3))
+    np.testing.assert_array_equal(batch.roots, found.measured(wi, wo).roots)
+    against = found.measured(wi[0], wo)
+    np.testing.assert_array_equal(against.roots, found.measured(jnp.broadcast_to(wi[0], wo.shape), wo).roots)
+    assert found.suggest(1, (wi[0], wo[0])).wi.shape == (1, 3)
+    message = "above the horizon, z > 0 in both directions: 1 of 6 do not, the first is pair 4 with z = "
+    for z in (0.0, -0.6):
+        low = wo.at[4].set(jnp.asarray([np.sqrt(1 - z**2), 0, z]))
+        for one, other in ((wi, low), (low, wi)):
+            with pytest.raises(ValueError, match=f"{message}{z:g}"):
+                found.measured(one, other)
+            with pytest.raises(ValueError, match=f"{message}{z:g}"):
+                found.suggest(1, (one, other))
+    with pytest.raises(ValueError, match=r"directions are unit vectors \(\*batch, 3\), got shape \(6, 2\)"):
+        found.measured(wi[:, :2], wo)
 
 
 def test_posteriors_are_compiled_and_follow_the_directions():
