@@ -12,7 +12,7 @@ from hshjax._typing import Array, Float, Real
 from hshjax.bases._base import matmul
 from hshjax.brdfs._log_linear import LogLinearBRDF
 from hshjax.fitting._compact import half_vector_samples
-from hshjax.fitting._compact_equations import DARK, EVERYWHERE, visibility
+from hshjax.fitting._compact_equations import EVERYWHERE, visibility
 from hshjax.geometry import as_directions
 
 LEVEL = 0.9
@@ -148,8 +148,9 @@ class CompactPosterior(eqx.Module):
         """Where to measure next: again and again the pair whose ln ρ is least certain, as if measured already.
 
         `candidates` (wi, wo) `(n, 3)` are pairs that can be measured; by default cells of half and difference angles
-        below 80 degrees. Variances of ln ρ are summed over channels with the weights of compact fits: what is hardly
-        seen counts less (`hshjax.fit_compact`). On the host, in float64.
+        below 80 degrees. Variances of ln ρ are summed over channels with the weights of compact fits, relative to the
+        median of all candidates and channels: what is hardly seen beside it counts less (`hshjax.fit_compact`). On the
+        host, in float64.
 
         **Raises:** ValueError for a count below 1 or above the number of candidates, for candidates on the horizon or
         below it.
@@ -159,7 +160,7 @@ class CompactPosterior(eqx.Module):
             raise ValueError(f"of {len(wi)} candidates 1 to {len(wi)} can be suggested, got {count}")
         value, rows, noise = self._told(wi, wo)
         seen = (wi[:, 2:] + wo[:, 2:]) / 2 * value
-        weight = visibility(seen, DARK, EVERYWHERE)
+        weight = visibility(seen, float(np.median(seen)), EVERYWHERE)
         parts = [rows @ np.asarray(root, np.float64) for root in self.roots]
         free, chosen, deviation = np.ones(len(wi), bool), [], []
         for _ in range(count):

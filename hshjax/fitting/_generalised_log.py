@@ -11,9 +11,9 @@ def generalised_log(value: np.ndarray, dark: float) -> np.ndarray:
     Source: Durbin, Hardin, Hawkins and Rocke, A variance-stabilizing transformation for gene-expression microarray
     data, Bioinformatics 18, 2002.
     """
-    root = np.hypot(value, dark)
     # ρ + root cancels where ρ < 0; (root + ρ)(root - ρ) = dark².
-    return np.where(value < 0, 2 * np.log(dark) - np.log(root - np.minimum(value, 0)), np.log(root + value)) - np.log(2)
+    size = np.log(np.hypot(value, dark) + np.abs(value))
+    return np.where(value < 0, 2 * np.log(dark) - size, size) - np.log(2)
 
 
 def log_density(value: np.ndarray, dark: float) -> float:

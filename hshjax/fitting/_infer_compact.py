@@ -11,7 +11,7 @@ from hshjax.bases._half_vector import COST, Mode, half_chart
 from hshjax.brdfs._log_linear import LogLinearBRDF, leading_terms
 from hshjax.fitting._checks import check_samples
 from hshjax.fitting._compact import ALPHAS
-from hshjax.fitting._compact_equations import FLOOR, MARGIN
+from hshjax.fitting._compact_equations import MARGIN
 from hshjax.fitting._compact_posterior import CompactPosterior, Trial
 from hshjax.fitting._evidence import Posterior, evidence, posterior, spectrum
 from hshjax.fitting._generalised_log import linearised, log_density
@@ -22,8 +22,15 @@ from hshjax.samples import Samples
 LEAST = 20
 """Samples below which there is nothing to infer error bars from."""
 
-DARKS = tuple(float(dark) for dark in np.logspace(-4, 0, 9))
-"""Values [sr^-1] at which additive noise is as large as multiplicative noise that are tried."""
+FLOOR = 1e-6
+"""Share of a channel's typical value below which ln ρ is not begun, and hardly falls."""
+
+DARKS = FLOOR, 30.0
+"""Where additive noise is as large as multiplicative noise: from that share of the darkest channel's typical value to
+that of the brightest one's, every half decade is tried."""
+
+BEGIN = 0.1
+"""Share of the brightest channel's typical value that is tried first."""
 
 NEAR = (10**-0.25, 1.0, 10**0.25)
 """Steps from the best of them that are tried."""
@@ -60,7 +67,8 @@ def infer_compact(
 
     **Arguments:**
 
-    - `samples`: [sr^-1, no cosine], any channels, 20 at least. Weights count as relative precision; 0 masks.
+    - `samples`: [sr^-1, no cosine], any channels, 20 at least. Weights count as relative precision; 0 masks. Values
+      may be negative, but no channel without one above 0.
     - `functions`: of the basis, in every channel. More than samples is no harm: the prior decides. Time grows with
       their square and more.
     - `alphas`: scales to try; 13 from 1e-6 to 1 by default.
@@ -73,7 +81,7 @@ def infer_compact(
     **Returns:** a `CompactPosterior`.
 
     **Raises:** ValueError, naming the count, for fewer than 20 samples; for samples that are not finite, not of unit
-    length or below the horizon; for values all below 1e-4; for scales or a noise that are not positive.
+    length or below the horizon; for a channel with no value above 0; for scales or a noise that are not positive.
 
     Source: MacKay, Bayesian Interpolation, Neural Computation 4(3), 1992; Rocke and Durbin, A model for measurement
     error for gene expression arrays, Journal of Computational Biology 8(6), 2001 (the noise).
@@ -111,14 +119,18 @@ class _Search:
         used = np.asarray(samples.weight) > 0
         parts = (samples.wi, samples.wo, samples.weight, samples.value)
         self.wi, self.wo, weight, self.value = (np.asarray(part, np.float64)[used] for part in parts)
-        if not np.any(self.value > FLOOR):
-            raise ValueError(f"the material is black: no value is above {FLOOR:g}")
+        typical = _typical(self.value)
         self.weight = (weight / weight.mean())[:, None]
         self.modes = total_order(functions)
         self.deviations = prior_deviations(self.modes)
-        bright = np.log(np.maximum(self.value, FLOOR))
+        # What is not above 0 counts as the least that is: noise, not a surface of another order of magnitude.
+        positive = np.where(self.value > 0, self.value, np.inf).min(axis=0)
+        bright = np.log(np.maximum(self.value, np.maximum(positive, FLOOR * typical)))
         self.low, self.high = bright.min(axis=0) - MARGIN, bright.max(axis=0) + MARGIN
         self.alphas = self._resolved(alphas)
+        self.begin = BEGIN * float(typical.max())
+        least, most = DARKS[0] * typical.min(), DARKS[1] * typical.max()
+        self.darks = np.geomspace(least, most, 1 + int(np.ceil(2 * np.log10(most / least)))).tolist()
         self.designs: dict[float, np.ndarray] = {}
         self.trials: dict[tuple[float, float], Trial] = {}
         self.logarithm = bright
@@ -165,11 +177,11 @@ class _Search:
 
     def found(self) -> tuple[Trial, list[Posterior], np.ndarray]:
         """The choice, its posteriors and the offsets of the channels."""
-        dark = DARKS[len(DARKS) // 2]
+        dark = self.begin
         # From the smoothest one on, each about the result of the last.
         for alpha in (self.alphas[-1], *self.alphas[::-1]):
             self._try(alpha, dark)
-        for darks in (DARKS, None):
+        for darks in (self.darks, None):
             best = self._best()
             for level in darks or (best.dark * step for step in NEAR):
                 self._try(best.alpha, level)
@@ -185,3 +197,14 @@ class _Search:
 
     def _best(self) -> Trial:
         return max(self.trials.values(), key=lambda trial: trial.evidence)
+
+
+def _typical(value: np.ndarray) -> np.ndarray:
+    """The median of what is above 0, `(channels,)`: what is small and what is large is so beside it."""
+    black = np.flatnonzero(np.all(value <= 0, axis=0))
+    if black.size == value.shape[1]:
+        raise ValueError("the material is black: no value is above 0")
+    if black.size:
+        # Zeros agree with any model: they would pass for samples without noise, and narrow the other channels.
+        raise ValueError(f"channels {black.tolist()} are black: no value is above 0; leave them out")
+    return np.array([np.median(one[one > 0]) for one in value.T])

@@ -170,18 +170,53 @@ EXTREME = ("one pair", "an outlier", "far below zero")
 @needs_x64
 @pytest.mark.parametrize("case", [*POOR, *EXTREME])
 def test_poor_data_do_not_explode(case):
-    """Nowhere, up to the horizon, beyond three times the largest value, nor below a third of the least that counts."""
+    """Nowhere, up to the horizon, beyond three times the largest value, nor below a third of the least above 0."""
     samples = POOR[case]() if case in POOR else distinct(case)
     found = infer_compact(samples, FEW)
     value = np.asarray(found.model(*far_and_near()))
     assert np.all(np.isfinite(value))
     assert value.max() < 3 * float(samples.value.max())
-    assert value.min() > max(float(samples.value.min()), 1e-4) / 3
+    assert value.min() > float(np.min(samples.value, where=np.asarray(samples.value) > 0, initial=np.inf)) / 3
     low, high = (np.asarray(bound) for bound in found.interval(*far_and_near(), noise=True))
     assert np.all(np.isfinite(low))
     assert np.all(np.isfinite(high))
     assert np.all(low <= value)
     assert np.all(value <= high)
+
+
+@needs_x64
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_samples_in_another_unit_give_the_model_in_that_unit(unit):
+    """To rounding, which the decompositions enlarge: all but the density, which is per unit."""
+    samples, _ = noisy(PLASTIC, 100, 7, dark=0.02)
+    scaled = Samples.scattered(samples.wi, samples.wo, unit * samples.value, isotropic=True)
+    one, other = (infer_compact(part, FEW, noise=0.05) for part in (samples, scaled))
+    wi, wo = directions(1, 60, min_z=0.0), directions(2, 60, min_z=0.0)
+    np.testing.assert_allclose(other.model(wi, wo), unit * one.model(wi, wo), rtol=1e-6)
+    np.testing.assert_allclose(other.log_deviation(wi, wo), one.log_deviation(wi, wo), rtol=1e-6)
+    for noise in (False, True):
+        pairs = zip(other.interval(wi, wo, noise=noise), one.interval(wi, wo, noise=noise), strict=True)
+        for bound, expected in pairs:
+            np.testing.assert_allclose(bound, unit * expected, rtol=1e-6, atol=1e-9 * unit)
+    assert other.alpha == one.alpha
+    assert other.dark == pytest.approx(unit * one.dark, rel=1e-6)
+    density = one.chosen.evidence - samples.value.size * np.log(unit)
+    assert other.chosen.evidence == pytest.approx(density, rel=1e-9)
+    np.testing.assert_allclose(other.suggest(3).wi, one.suggest(3).wi)
+
+
+@needs_x64
+def test_dark_channels_are_found_beside_bright_ones():
+    """Each as well as the others, three and six orders of magnitude below them."""
+    levels = np.array([1.0, 1e-3, 1e-6])
+    samples, _ = noisy(PLASTIC, 200, 3)
+    dim = Samples.scattered(samples.wi, samples.wo, samples.value * levels[None], isotropic=True)
+    found = infer_compact(dim, FEW, noise=0.05)
+    fresh, truth = noisy(PLASTIC, 200, 4)
+    error = np.abs(np.log(np.asarray(found.model(fresh.wi, fresh.wo)) / (truth * levels)))
+    assert np.all(np.median(error, axis=0) < 0.03)  # less than the noise
+    for channel, (low, high) in enumerate(zip(*(bound.T for bound in found.interval(fresh.wi, fresh.wo)), strict=True)):
+        assert inside(truth[:, channel] * levels[channel], (low, high)) > 0.8
 
 
 @needs_x64
@@ -303,7 +338,12 @@ REFUSED = {
     "black": (
         lambda: scattered(value=jnp.zeros((600, 3), DTYPE)),
         {},
-        "the material is black: no value is above 0.0001",
+        "the material is black: no value is above 0$",
+    ),
+    "a black channel": (
+        lambda: scattered(value=jnp.tile(jnp.asarray([[0.2, 0.0, 0.1]], DTYPE), (600, 1))),
+        {},
+        r"channels \[1\] are black: no value is above 0; leave them out",
     ),
     "infinite": (lambda: scattered(value=jnp.full((600, 3), jnp.inf)), {}, "600 of 600 .* hold NaN or infinite values"),
     "below": (lambda: scattered(wi=-directions(5, 600)), {}, "600 of 600 samples .* below the horizon"),
