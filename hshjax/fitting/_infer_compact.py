@@ -58,12 +58,17 @@ def infer_compact(
 
     ln ρ = Σ_a c_a B_a over a `HalfVectorBasis`, c_a ~ N(0, s² γ_a²) with deviations γ_a that fall with the order of the
     function, around the mean of the samples; the constant and two trends are nearly free. A sample is ρ plus noise of
-    deviation σ sqrt(ρ² + dark²). The scale α of the warp, `dark`, s and σ, common to all channels, are those of the
-    largest evidence. The posterior is Gaussian, about a linearisation at its mean. Its deviations are scaled such that
-    samples left out are covered as often as they should be.
+    deviation σ sqrt(ρ² + dark²). The posterior is Gaussian, about a linearisation at its mean. Samples in another unit
+    give the same model in that unit: what is small is so beside the median of a channel.
+
+    What is chosen, and by what: the scale α of the warp, `dark`, s and σ, common to all channels, by the largest
+    evidence. Leave-one-out chooses nothing: its density is reported, and deviations are scaled such that samples left
+    out are covered as often as they should be (`CompactPosterior.factor`). The order is not chosen: the prior stands
+    for it, under which higher functions are smaller.
 
     What was not sampled: α is at least a tenth of the smallest 1 - cos θ_h among the samples, so that no highlight is
-    invented; ln ρ is held within a factor of two of the samples' range; deviations grow towards those of the prior.
+    invented; ln ρ is held within a factor of two of the samples' range; deviations grow towards those of the prior,
+    which nothing checks, and are not scaled down.
 
     **Arguments:**
 
