@@ -30,8 +30,9 @@ class Fit(eqx.Module, Generic[Model]):
       noise. None where it was not asked for. Constraints do not enter it.
     - `certificate`: what was found of the physical validity of the fit. None where no constraint was asked for.
     - `result`: how the fit ended, an `Outcome`.
-    - `quadrature_error`: how far the coefficients moved, relative to their norm, when the rule was refined last. None
-      where samples were given: `project` knows nothing between them.
+    - `quadrature_error`: how far the coefficients moved, relative to their norm, when the rule was refined last; or how
+      far they are from those of another rule, if that is more. None where samples were given: `project` knows nothing
+      between them.
     """
 
     model: Model

@@ -28,7 +28,7 @@ EXITS, NODES = 8, (2 * FIRST) ** 2
 
 
 HOPELESS = 10
-"""Times the move of half vectors: directions that move by more are given up."""
+"""Times the move of lobes: directions that move by more are given up."""
 
 
 def to_series(
@@ -42,8 +42,9 @@ def to_series(
     """The series over `basis` nearest to a BRDF that can be evaluated anywhere: coefficients by quadrature.
 
     What `project` says of samples, this says of a function: rules are refined until the coefficients stand still. At
-    every degree two rules are tried, one in directions of incidence, which a smooth BRDF suits, and one in half
-    vectors, which follows highlights of any width. A model of `fit_compact`, an analytic BRDF or a table becomes what
+    every degree two rules are tried, one in directions of incidence, which a smooth BRDF suits, and one that follows
+    lobes of any width, highlights and those back to the light at once. (A lobe about anything else must be as wide as
+    the nodes are apart, or no rule knows of it.) A model of `fit_compact`, an analytic BRDF or a table becomes what
     `reflect` integrates in closed form under a `HarmonicLight`. A highlight that the order cannot hold stays out:
     look at `relative`.
 
@@ -54,16 +55,17 @@ def to_series(
       that are reciprocal take the reciprocal part of a BRDF that is not.
     - `norm`: "A" ... "E": in which the series is nearest, and its error meant; see `NORMS`.
     - `tolerance`: the degree is doubled from 16 until the coefficients and the root of ∫∫ ρ² move by no more than
-      this, relative to the norm of either, in every channel. Directions that settle count only where half vectors
-      agree, to within twice their own move.
+      this, relative to the norm of either, in every channel. Directions count only where lobes agree with them, to
+      within this as well.
     - `max_degree`: d stands for d directions of exit (times azimuths, where the basis is not isotropic) x 2d x 2d
-      of incidence.
+      of incidence; lobes take twice as many.
 
     Found in float64, in blocks of 8192 pairs; not under `jax.jit`. Time grows with the third power of the degree that
     it takes, with the fourth for an anisotropic BRDF.
 
-    **Returns:** a `Fit`; `quadrature_error` says how far the coefficients moved last, `method` which rule it was,
-    `samples` how many pairs it has. `residual` and `relative` are those of the series itself, on that rule.
+    **Returns:** a `Fit`; `method` says which rule it was, "directions" or "lobes"; `quadrature_error` how far
+    coefficients or root moved last, or how far those of directions are from those of lobes, if that is more; `samples`
+    how many pairs the rule has. `residual` and `relative` are those of the series itself, on that rule.
 
     **Raises:** ValueError for a basis that is no product of functions orthonormal on the hemisphere; for an anisotropic
     BRDF and an isotropic basis; for values that are not finite; and where `max_degree` is not enough, with the figure
@@ -79,7 +81,7 @@ def to_series(
         isotropic = is_isotropic(brdf)
         if basis.isotropic and not isotropic:
             raise ValueError(f"{basis} is for isotropic BRDFs, and this one is not: take a HelmholtzBasis")
-        way, degree, moments, moved = _settled(brdf, basis, chosen, isotropic, tolerance, max_degree)
+        way, degree, moments, quadrature_error = _settled(brdf, basis, chosen, isotropic, tolerance, max_degree)
         coefficients, condition = _solved(basis, chosen, moments.matrix)
         azimuths = _azimuths(basis, degree, isotropic)
         missed = _sums(brdf, basis, chosen, way, degree, azimuths, to_matrix(basis, coefficients))
@@ -93,9 +95,9 @@ def to_series(
         condition,
         norm=norm,
         method=way,
-        samples=degree * azimuths * (2 * degree) ** 2,
+        samples=len(WAYS[way]) * degree * azimuths * (2 * degree) ** 2,
         unknowns=basis.count,
-        quadrature_error=moved,
+        quadrature_error=quadrature_error,
     )
 
 
@@ -109,7 +111,7 @@ class Moments(NamedTuple):
 def _settled(
     brdf: PairFunction, basis: AbstractProductBasis, norm: Norm, isotropic: bool, tolerance: float, max_degree: int
 ) -> tuple[Way, int, Moments, float]:
-    """The way that settles first, the degree at which it did, its moments, and how far they moved last."""
+    """The way that settles first, the degree at which it did, its moments, and their error as far as ways can tell."""
     degree = FIRST
     ways: list[Way] = list(WAYS)
     before: dict[Way, Moments] = {}
@@ -122,21 +124,19 @@ def _settled(
         if not all(bool(jnp.all(jnp.isfinite(part))) for moments in found.values() for part in moments):
             raise ValueError("a series needs a BRDF of finite values on the open hemisphere, got others")
         if before:
-            moved = {way: _distance(basis, before[way], found[way]) for way in ways}
-            half = moved["half vectors"]
-            if "directions" in ways and moved["directions"] > HOPELESS * half:
+            errors = {way: _distance(basis, before[way], found[way]) for way in ways}
+            if "directions" in ways and errors["directions"] > HOPELESS * errors["lobes"]:
                 ways.remove("directions")
-            best: Way = "half vectors"
-            if "directions" in ways and moved["directions"] < half:
-                # Directions that miss a highlight stand still as well; half vectors would tell.
-                apart = _distance(basis, found["directions"], found["half vectors"])
-                best = "directions" if apart <= 2 * max(half, tolerance) else best
-            if moved[best] <= tolerance:
-                return best, degree, found[best], moved[best]
+            if "directions" in ways:
+                # Directions that miss a lobe stand still as well; lobes would tell.
+                errors["directions"] = max(errors["directions"], _distance(basis, found["directions"], found["lobes"]))
+            best = min(ways, key=lambda way: errors[way])
+            if errors[best] <= tolerance:
+                return best, degree, found[best], errors[best]
             if 2 * degree > max_degree:
                 raise ValueError(
                     f"coefficients must settle to {tolerance:g} at degree {max_degree} or below, and still move by "
-                    f"{moved[best]:.2g} at {degree}: raise max_degree or tolerance"
+                    f"{errors[best]:.2g} at {degree}: raise max_degree or tolerance"
                 )
         before, degree = found, 2 * degree
 
@@ -189,13 +189,18 @@ def _sums(
 ) -> Moments:
     """Sums over the pairs of a rule, in blocks of one size."""
     low = _lowest(norm)
-    exits, nodes = exit_nodes(degree, azimuths, low), incidence_nodes(way, degree)
+    exits, charts = exit_nodes(degree, azimuths, low), {chart: incidence_nodes(chart, degree) for chart in WAYS[way]}
     total = None
     for i in range(0, exits[0].size, EXITS):
         cosine, turn, weight = (np.resize(part[i : i + EXITS], EXITS) for part in exits)
         weight[exits[0].size - i :] = 0  # repeated directions do not count
-        for j in range(0, nodes.phi.size, NODES):
-            wi, wo, solid_angle = incident(way, cosine, turn, Nodes(*(part[j : j + NODES] for part in nodes)), low)
+        blocks = [
+            (chart, Nodes(*(part[j : j + NODES] for part in nodes)))
+            for chart, nodes in charts.items()
+            for j in range(0, nodes.phi.size, NODES)
+        ]
+        for chart, block in blocks:
+            wi, wo, solid_angle = incident(chart, cosine, turn, block, low)
             wi, wo, of_pairs = map(jnp.asarray, (wi, wo, weight[:, None] * solid_angle))
             part = _block(brdf, basis.basis, norm, wi, wo, of_pairs, matrix)
             total = part if total is None else jax.tree.map(jnp.add, total, part)

@@ -54,7 +54,7 @@ def test_a_series_comes_back(basis, norm):
     found = to_series(LinearBRDF(basis, coefficients, NORMS[norm].target), basis, norm=norm)
     assert found.model.coefficients.dtype == DTYPE
     assert found.method == "directions"
-    assert found.quadrature_error < 1e-12
+    assert found.quadrature_error <= 1e-3  # of the rule that follows lobes, where they disagree
     # In norm E what reaches beyond 80 degrees is left to rounding, by the condition number.
     assert_close(found.model.coefficients, coefficients, tolerance=1e-8 if X64 else 2e-5)
     assert float(found.relative.max()) < 1e-8
@@ -77,27 +77,112 @@ def test_a_compact_model_against_a_dense_sum(norm):
     dense = project(
         ISOTROPIC, Samples.from_function(model, isotropic_pair_rule(100)), norm=norm, reciprocity=False
     )  # fmt: skip
-    assert found.method == "half vectors"
-    assert_close(found.model.coefficients, dense.model.coefficients, tolerance=3e-5)
+    assert found.method == "lobes"
+    # Where ρ itself is fitted, grazing pairs count more; the dense sum is off by that, and by half at degree 130.
+    assert_close(found.model.coefficients, dense.model.coefficients, tolerance=3e-5 if norm == "D" else 5e-4)
     assert_close(found.relative, dense.relative, tolerance=3e-5)
+
+
+def retro(peak, width):
+    """A lobe about wi = wo that falls to 1/e of its peak at `width` [radians]."""
+    return lambda wi, wo: peak * jnp.exp(-jnp.sum((wi - wo) ** 2, axis=-1, keepdims=True) / width**2)
+
+
+def about(angle, nodes=(160, 96)):
+    """Light for an eye at some polar angle, as `furnace_rule` has it, on nodes that are dense about the eye."""
+    t, weight = np.polynomial.legendre.leggauss(nodes[0])
+    t, weight = (t + 1) / 2, weight / 2
+    gamma, psi = (
+        np.repeat(np.pi * t**4, nodes[1]),
+        np.tile(2 * np.pi * (np.arange(nodes[1]) + 0.5) / nodes[1], nodes[0]),
+    )
+    frame = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    wi = np.stack([np.sin(gamma) * np.cos(psi), np.sin(gamma) * np.sin(psi), np.cos(gamma)], axis=-1) @ frame
+    solid_angle = np.repeat(4 * np.pi * t**3 * weight, nodes[1]) * np.sin(gamma) * 2 * np.pi / nodes[1]
+    lit = wi[:, 2] > 0
+    return np.where(lit[:, None], wi, [0, 0, 1]), frame[2], np.where(lit, solid_angle * wi[:, 2], 0)
+
+
+def summed(*parts):
+    """∫∫ z_i z_o ρ B and ∫∫ (z_i z_o)² ρ σ of parts (ρ, σ, rule), over ten times as many nodes as it takes."""
+    total, square = 0.0, 0.0
+    for brdf, other, rule in parts:
+        for z, weight in zip(*polar_nodes(80, sqrt=True), strict=True):
+            wi, wo, lit = rule(np.arccos(z))
+            wi, wo = jnp.asarray(wi), jnp.broadcast_to(jnp.asarray(wo), wi.shape)
+            value = np.asarray(brdf(wi, wo))[:, 0] * z
+            total = total + 2 * np.pi * weight * (lit * value) @ np.asarray(ISOTROPIC(wi, wo))
+            square += 2 * np.pi * weight * (lit * value) @ np.asarray(other(wi, wo)[:, 0] * z * wi[:, 2])
+    return total, square
+
+
+def assert_summed(found, total, square, tolerance=1e-4):
+    scale = np.abs(total).max()
+    assert found.method == "lobes"
+    assert_close(found.model.coefficients[:, 0] / scale, total / scale, tolerance=tolerance)
+    assert_close(found.relative[0], np.sqrt(1 - np.sum(total**2) / square), tolerance=tolerance)
 
 
 @pytest.mark.skipif(not X64, reason="narrow lobes in float64")
 def test_a_lobe_of_half_a_degree():
-    """∫∫ g B over nodes of half vectors at each eye: a rule of its own, ten times as many nodes."""
+    """∫∫ g B over nodes of half vectors at each eye."""
     model = GGX(0.3, 0.01)
     found = to_series(model, ISOTROPIC, tolerance=1e-5)
     assert found.quadrature_error < 1e-5
-    total, square = 0.0, 0.0
-    for z, weight in zip(*polar_nodes(80, sqrt=True), strict=True):
-        wi, wo, lit = furnace_rule(np.arccos(z), (160, 96))
-        wi, wo = jnp.asarray(wi), jnp.broadcast_to(jnp.asarray(wo), wi.shape)
-        g = np.asarray(model(wi, wo))[:, 0] * z
-        total = total + 2 * np.pi * weight * (lit * g) @ np.asarray(ISOTROPIC(wi, wo))
-        square += 2 * np.pi * weight * (lit * g**2) @ np.asarray(wi[:, 2])
-    scale = np.abs(total).max()
-    assert_close(found.model.coefficients[:, 0] / scale, total / scale, tolerance=1e-4)
-    assert_close(found.relative[0], np.sqrt(1 - np.sum(total**2) / square), tolerance=1e-4)
+    assert_summed(found, *summed((model, model, lambda angle: furnace_rule(angle, (160, 96)))))
+
+
+@pytest.mark.skipif(not X64, reason="narrow lobes in float64")
+@pytest.mark.parametrize(
+    ("width", "roughness"), [(0.02, 0.01), slow_unless(False, 0.05, 0.005), slow_unless(False, 0.005, 0.1)]
+)
+def test_a_highlight_and_a_lobe_back_to_the_light(width, roughness):
+    """Each on nodes of its own. Their product counts on those about the eye: the lobe is what ends it."""
+    highlight, back = GGX(0.3, roughness), retro(0.2 / width**2, width)
+    found = to_series(lambda wi, wo: highlight(wi, wo) + back(wi, wo), ISOTROPIC)
+    expected = summed(
+        (highlight, highlight, lambda angle: furnace_rule(angle, (160, 96))),
+        (back, lambda wi, wo: back(wi, wo) + 2 * highlight(wi, wo), about),
+    )
+    assert_summed(found, *expected, tolerance=1e-3)
+
+
+@pytest.mark.parametrize("width", [0.003, slow_unless(False, 0.0005)])
+def test_a_lobe_back_to_the_light_in_closed_form(width):
+    """Narrow ones see a basis at wi = wo alone: π peak width² ∫ z² B(w, w) dω."""
+    base, back = Lambert(0.1 * np.pi), retro(500.0, width)
+    found = to_series(lambda wi, wo: base(wi, wo) + back(wi, wo), ISOTROPIC)
+    z, weight = (jnp.asarray(part, DTYPE) for part in polar_nodes(40, sqrt=True))
+    w = jnp.stack([jnp.sqrt(1 - z**2), 0 * z, z], axis=-1)
+    lobe = 500 * np.pi * width**2 * 2 * np.pi * np.asarray((weight * z**2) @ ISOTROPIC(w, w))
+    dull = project(ISOTROPIC, Samples.from_function(base, isotropic_pair_rule(20)), reciprocity=False)
+    # Of the next term, width² ∇² B / 4, and of the horizon less than that is left.
+    assert_close(found.model.coefficients[:, 0] - dull.model.coefficients[:, 0], lobe, tolerance=1e-3 * lobe.max())
+    assert found.method == "lobes"
+    assert float(found.relative[0]) > 0.5
+
+
+@pytest.mark.skipif(not X64, reason="narrow lobes in float64")
+def test_a_compact_model_of_a_retro_reflector():
+    """As `fit_compact` makes them, a warp of either angle: tens of times brighter within a degree of the light."""
+    basis = HalfVectorBasis(
+        ((0, 0, 0), (0, 2, 0), (0, 4, 0), (1, 0, 0)), LogWarp(jnp.asarray(0.3)), LogWarp(jnp.asarray(1e-4))
+    )
+    model = LogLinearBRDF(basis, [jnp.asarray([-1.0, -1.2, 0.2, -0.1])])
+    values = np.asarray(model(jnp.asarray([[0.0, 0, 1], [0, 0, 1]]), jnp.asarray([[0.0, 0, 1], [0.6, 0, 0.8]])))
+    assert values[0] > 20 * values[1]
+    assert_summed(to_series(model, ISOTROPIC), *summed((model, model, about)), tolerance=1e-3)
+
+
+def test_directions_count_only_where_lobes_agree(unchecked):
+    """A highlight of 0.01 degrees: directions stand still without it, while lobes still look for its height."""
+
+    def brdf(wi, wo):
+        h = wi + wo
+        return 0.1 + 1e6 * jnp.exp(-jnp.sum(h[:, :2] ** 2, axis=1, keepdims=True) / (2e-4 * h[:, 2:]) ** 2)
+
+    with pytest.raises(ValueError, match="at degree 32 or below, and still move"):
+        to_series(brdf, ISOTROPIC, max_degree=32)
 
 
 def test_the_error_that_is_reported_is_the_error():
