@@ -17,6 +17,7 @@ from hshjax import (
     EnvironmentMap,
     HalfVectorBasis,
     HarmonicLight,
+    IdentityWarp,
     IsotropicBasis,
     LinearBRDF,
     LogLinearBRDF,
@@ -91,14 +92,16 @@ def _compact(config: Config, materials: dict[str, Any]) -> list[dict[str, Any]]:
     for found in fit_compact_all(list(materials.values()), config.coefficients):
         model = found.model
         kept.append({
-            "functions": [list(mode) for mode in model.basis.modes], "alpha": found.alpha,
+            "functions": [list(mode) for mode in model.basis.modes], "scale": [found.alpha, found.beta],
             **{name: np.asarray(getattr(model, name)) for name in ("coefficients", "mixing", "low", "high", "terms")},
         })  # fmt: skip
     return kept
 
 
 def _model(kept: dict[str, Any]) -> LogLinearBRDF:
-    basis = HalfVectorBasis(tuple(map(tuple, kept["functions"])), LogWarp(jnp.asarray(kept["alpha"])))
+    alpha, beta = kept["scale"]
+    back = IdentityWarp() if beta is None else LogWarp(jnp.asarray(beta))
+    basis = HalfVectorBasis(tuple(map(tuple, kept["functions"])), LogWarp(jnp.asarray(alpha)), back)
     parts = (jnp.asarray(kept[name]) for name in ("coefficients", "mixing", "low", "high"))
     return LogLinearBRDF(basis, *parts, terms=kept["terms"])
 
