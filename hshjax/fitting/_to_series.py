@@ -11,7 +11,7 @@ from hshjax._typing import Array, Float, PairFunction
 from hshjax.bases import AbstractBasis, AbstractProductBasis, from_matrix, to_matrix
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
-from hshjax.fitting._incidence import WAYS, Nodes, Way, exit_nodes, incidence_nodes, incident
+from hshjax.fitting._incidence import WAYS, Chart, Nodes, Way, exit_nodes, incidence_nodes, incident
 from hshjax.fitting._isotropy import is_isotropic
 from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import Norm, named_norm
@@ -135,7 +135,7 @@ def _settled(
                 return best, degree, found[best], errors[best]
             if 2 * degree > max_degree:
                 raise ValueError(
-                    f"coefficients must settle to {tolerance:g} at degree {max_degree} or below, and still move by "
+                    f"coefficients must settle to {tolerance:g} at degree {max_degree} or below, and are still off by "
                     f"{errors[best]:.2g} at {degree}: raise max_degree or tolerance"
                 )
         before, degree = found, 2 * degree
@@ -189,18 +189,18 @@ def _sums(
 ) -> Moments:
     """Sums over the pairs of a rule, in blocks of one size."""
     low = _lowest(norm)
-    exits, charts = exit_nodes(degree, azimuths, low), {chart: incidence_nodes(chart, degree) for chart in WAYS[way]}
+    exits = exit_nodes(degree, azimuths, low)
+    parts: list[tuple[Chart, Nodes]] = []
+    for chart in WAYS[way]:
+        nodes = incidence_nodes(chart, degree)
+        for j in range(0, nodes.phi.size, NODES):
+            parts.append((chart, Nodes(*(a[j : j + NODES] for a in nodes))))
     total = None
     for i in range(0, exits[0].size, EXITS):
         cosine, turn, weight = (np.resize(part[i : i + EXITS], EXITS) for part in exits)
         weight[exits[0].size - i :] = 0  # repeated directions do not count
-        blocks = [
-            (chart, Nodes(*(part[j : j + NODES] for part in nodes)))
-            for chart, nodes in charts.items()
-            for j in range(0, nodes.phi.size, NODES)
-        ]
-        for chart, block in blocks:
-            wi, wo, solid_angle = incident(chart, cosine, turn, block, low)
+        for chart, nodes in parts:
+            wi, wo, solid_angle = incident(chart, cosine, turn, nodes, low)
             wi, wo, of_pairs = map(jnp.asarray, (wi, wo, weight[:, None] * solid_angle))
             part = _block(brdf, basis.basis, norm, wi, wo, of_pairs, matrix)
             total = part if total is None else jax.tree.map(jnp.add, total, part)
