@@ -33,6 +33,7 @@ LONG = (
     "compact_race",
     "compact_scattered",
     "face_relit",
+    "harmonic_conversion",
     "joint_recovery",
     "lighting_recovery",
     "material_fit",

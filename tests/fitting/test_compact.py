@@ -221,7 +221,8 @@ def test_what_reflects_more_than_it_gets_is_held(value):
     held = fit_compact(samples, 30)
     assert held.albedo <= 1
     assert float(held.model(*far_and_near()).max()) < 3 * value
-    np.testing.assert_allclose(fit_compact(samples, 30, energy=False).model(*far_and_near()), value, rtol=1e-3)
+    free = fit_compact(samples, 30, energy=False).model(*far_and_near())
+    np.testing.assert_allclose(free, value, rtol=0.01)  # the ridge draws ln ρ to 0 by some 1e-3
 
 
 def test_the_highlight_alone():
