@@ -10,8 +10,11 @@ from hshjax.bases._half_vector import half_chart
 from hshjax.bases._half_vector_grid import separated
 from hshjax.fitting._compact_rows import AbstractRows
 
-ROUNDING = 16
+ROUNDING = 64
 """Units in the last place of a component of a direction: what lies closer counts as one level."""
+
+NARROW = 1e-4
+"""Levels of cos 2φ_d that lie closer are never one: a degree from 0 makes six times as much."""
 
 SPARSE = 4
 """Cells for each sample up to which samples count as a grid."""
@@ -42,7 +45,7 @@ def find_grid(wi: np.ndarray, wo: np.ndarray, precision: float = np.finfo(np.flo
     h, d = np.sqrt(2 * u), np.sqrt(2 * v)  # about sines, which rounding moves by as much wherever they are
     azimuthal = (h > least) & (d > least)  # elsewhere φ_d has no meaning, and functions of it vanish
     cosine = np.where(azimuthal, re / np.where(azimuthal, np.hypot(re, im), 1), 1.0)
-    blurred = least / min(np.min(one[azimuthal], initial=1) for one in (h, d))
+    blurred = min(least / min(np.min(one[azimuthal], initial=1) for one in (h, d)), NARROW)
     levels, places, cells = [], [], 1
     for coordinate, tolerance in ((h, least), (d, least), (cosine, blurred)):
         found = _levels(coordinate, tolerance)

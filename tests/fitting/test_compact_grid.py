@@ -46,6 +46,16 @@ def test_a_grid_is_found_in_any_order_and_turned():
     assert grid.cell[-1] == grid.cell[np.flatnonzero(order[:-1] == 5)[0]]
 
 
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_the_default_grid_is_found(dtype):
+    """The one that every BRDF is sampled on: whether it is found decides about the time of a fit."""
+    samples = half_vector_samples(lambda wi, wo: wi[:, 2])
+    wi, wo = (np.asarray(w).astype(dtype).astype(np.float64) for w in (samples.wi, samples.wo))
+    grid = find_grid(wi, wo, float(np.finfo(dtype).eps))
+    assert grid is not None
+    assert grid.shape == (92, 24, 6)
+
+
 def test_scattered_pairs_are_none():
     assert find_grid(np.asarray(directions(0, 500)), np.asarray(directions(1, 500))) is None
 
