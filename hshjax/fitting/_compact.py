@@ -102,7 +102,7 @@ def fit_compact(data: Samples | PairFunction, coefficients: int = 150, **setting
     twice as many functions those without which least squares would lose most. Least squares are weighted such that
     differences count as (Δ ln(1 + ρ z / dark))², to first order, and weighted anew in some rounds until they count as
     |Δ ln(1 + ρ z / dark)|. Where a warp of the difference angle pays, there is one: retro-reflectors want it. Samples
-    on a grid of half and difference angles (`half_vector_samples`, tables of that kind) take a hundredth of the time.
+    on a grid of half and difference angles (`half_vector_samples`, tables of that kind) take less than half the time.
 
     **Arguments:**
 
