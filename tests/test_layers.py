@@ -23,6 +23,7 @@ FLOORS = {
     "lighting": 3,
     "camera": 3,
     "surface": 3,
+    "photographs": 3,
     "io": 3,
     "reflectance": 4,
     "fitting": 5,
@@ -39,6 +40,8 @@ SAME_FLOOR = {
     "quadrature": {"_typing", "_special", "geometry"},
     "metrics": {"_typing", "_special", "geometry", "quadrature"},
     "surface": {"camera"},
+    "photographs": {"camera", "lighting"},
+    "io": {"photographs", "lighting"},
     "cli": {"plotting"},
 }
 """The only imports that stay on one floor, each in one direction."""
