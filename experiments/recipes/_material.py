@@ -1,7 +1,8 @@
-"""What `quickstart` and `material_fit` share: one material against several bases and orders."""
+"""What recipes share about materials; `quickstart` and `material_fit`: one against several bases and orders."""
 
 from typing import Annotated, Any, Literal
 
+import equinox as eqx
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,6 +17,15 @@ from hshjax._typing import PairFunction
 FAMILIES = {"HSH": hshjax.HSH, "Zernike": hshjax.Zernike, "SHR": hshjax.SHR}
 Family = Literal["HSH", "Zernike", "SHR"]
 Norm = Literal["A", "B", "C", "D", "E"]
+
+
+class Exchanged(eqx.Module):
+    """ρ(wo, wi): what a renderer that starts at the eye makes of a table that is not reciprocal."""
+
+    brdf: PairFunction
+
+    def __call__(self, wi, wo):
+        return self.brdf(wo, wi)
 
 
 class FitSection(Section):

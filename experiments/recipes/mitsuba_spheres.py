@@ -2,7 +2,6 @@
 
 from typing import Annotated, Any, Literal, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,6 +12,7 @@ from experiments import peers
 from experiments.config import DataPath, RecipeConfig, local_path
 from experiments.peers.interpolation import mitsuba_radiance, refined
 from experiments.recipes._blocks import square_blocks
+from experiments.recipes._material import Exchanged
 from experiments.record import Record
 from hshjax import plotting
 from hshjax._typing import PairFunction
@@ -39,15 +39,6 @@ class Config(RecipeConfig):
     variant: Annotated[Literal["llvm_ad_rgb", "scalar_rgb"], Field(description="of Mitsuba; scalar needs no LLVM")] = (
         "llvm_ad_rgb"
     )
-
-
-class Exchanged(eqx.Module):
-    """ρ(wo, wi): what a renderer that starts at the eye makes of a table that is not reciprocal."""
-
-    brdf: PairFunction
-
-    def __call__(self, wi, wo):
-        return self.brdf(wo, wi)
 
 
 def run(config: Config, record: Record) -> None:
