@@ -16,6 +16,7 @@ def bsdf(inputs: dict[str, Any]) -> dict[str, Any]:
 
     - `lambert`: `reflectance` `(3,)`.
     - `ggx`: `alpha`; no Fresnel term (material `none` reflects everything), no diffuse part.
+    - `glossy`: `reflectance` `(3,)`, `alpha`; the lobe of `ggx` with the weight `share`, `lambert` with the rest of 1.
     - `measured`: `path`, of an RGL `*.bsdf`.
     """
     match inputs["bsdf"]:
@@ -23,9 +24,16 @@ def bsdf(inputs: dict[str, Any]) -> dict[str, Any]:
             return {"type": "diffuse", "reflectance": {"type": "rgb", "value": inputs["reflectance"].tolist()}}
         case "ggx":
             return {"type": "roughconductor", "distribution": "ggx", "material": "none", "alpha": inputs["alpha"]}
+        case "glossy":
+            return {
+                "type": "blendbsdf",
+                "weight": inputs["share"],
+                "body": bsdf(inputs | {"bsdf": "lambert"}),
+                "lobe": bsdf(inputs | {"bsdf": "ggx"}),
+            }
         case "measured":
             return {"type": "measured", "filename": inputs["path"]}
-    raise ValueError(f"bsdf must be lambert, ggx or measured, got {inputs['bsdf']!r}")
+    raise ValueError(f"bsdf must be lambert, ggx, glossy or measured, got {inputs['bsdf']!r}")
 
 
 def lit_sphere(inputs: dict[str, Any]) -> dict[str, Any]:

@@ -4,9 +4,9 @@ Every function returns new `Photographs` whose `notes` say what was done; `level
 Values that are NaN stay NaN. All chance comes from `seed`.
 """
 
+from dataclasses import replace
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
 from hshjax.photographs import Photographs
@@ -85,6 +85,5 @@ def _chosen(photographs: Photographs, count: int, seed: list[int]) -> tuple[np.r
 
 
 def _changed(photographs: Photographs, values: np.ndarray, note: str) -> Photographs:
-    values = values.astype(photographs.values.dtype)
-    changed = eqx.tree_at(lambda p: p.values, photographs, values)
-    return eqx.tree_at(lambda p: p.notes, changed, (*photographs.notes, note))
+    values = np.where(np.isnan(photographs.values), np.nan, values).astype(photographs.values.dtype)
+    return replace(photographs, values=values, notes=(*photographs.notes, note))

@@ -13,6 +13,9 @@
 | `rgl:paper_white` | compact fit of a measured file of `$HSHJAX_DATA/rgl` |
 | `table:paper_white` | that file itself, as Mitsuba evaluates it |
 | `merl:gold-paint` | compact fit of a network of `$HSHJAX_DATA/merl_surrogate` |
+
+A table has no one value where the eye is exactly on the normal (flat parts of reliefs): of satin_rosaline, values there
+change by some percent with the azimuth of a tangent that is anybody's choice. Fits do not have that.
 """
 
 from collections.abc import Callable

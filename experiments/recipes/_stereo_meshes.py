@@ -16,7 +16,7 @@ from hshjax import OrthographicCamera, Surface
 LEAST_COSINE = 0.05
 """Of a normal with the view: silhouettes that are seen more slantingly are no part of a mask."""
 
-OFFSET = 2e-4
+OFFSET = 1e-4
 """How far from the surface rays to the lights start: well above what float32 errs."""
 
 HALF_WIDTH = 1.25
@@ -79,12 +79,15 @@ def visible(shape: Shape, normal: np.ndarray, position: np.ndarray, towards: np.
 
 def radial(radius: Callable[[Any], Any], steps: int = 96) -> Shape:
     """The body |p| = radius(p / |p|), of one direction `(3,)`: a cube of 6 x `steps`² squares, blown up."""
-    u, v = np.tan(np.linspace(-np.pi / 4, np.pi / 4, steps + 1)), np.ones((steps + 1, steps + 1))
-    side = np.stack([*np.meshgrid(u, u, indexing="ij"), v], -1).reshape(-1, 3)
+    # Nodes as integers, in which those that two sides share are equal: no light shall pass between.
+    u = 2 * np.arange(steps + 1) - steps
+    side = np.stack([*np.meshgrid(u, u, indexing="ij"), np.full((steps + 1, steps + 1), steps)], -1).reshape(-1, 3)
     opposite = -side[:, ::-1]  # a rotation of it: triangles stay anticlockwise
     cube = np.concatenate([np.roll(one, k, axis=1) for k in range(3) for one in (side, opposite)])
-    w = cube / np.linalg.norm(cube, axis=1, keepdims=True)
-    faces = np.concatenate([_quads(steps + 1, steps + 1) + k * len(side) for k in range(6)])
+    nodes, place = np.unique(cube, axis=0, return_inverse=True)
+    faces = place.reshape(-1)[np.concatenate([_quads(steps + 1, steps + 1) + k * len(side) for k in range(6)])]
+    w = np.tan(np.pi / 4 / steps * nodes)
+    w /= np.linalg.norm(w, axis=1, keepdims=True)
     slope = jax.grad(lambda p: jnp.linalg.norm(p) - radius(p / jnp.linalg.norm(p)))
 
     @jax.jit
@@ -96,7 +99,7 @@ def radial(radius: Callable[[Any], Any], steps: int = 96) -> Shape:
     return _shape(*grown(jnp.asarray(w)), faces)
 
 
-def relief(height: Callable[[Any], Any], steps: int = 256) -> Shape:
+def relief(height: Callable[[Any], Any], steps: int = 257) -> Shape:
     """The surface z = height(p), of one point `(2,)` of the plane: `steps`² squares over `HALF_WIDTH` either way."""
     x = np.linspace(-HALF_WIDTH, HALF_WIDTH, steps + 1)
     plane = np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
@@ -112,13 +115,15 @@ def relief(height: Callable[[Any], Any], steps: int = 256) -> Shape:
 
 def revolved(curve: np.ndarray, normal: np.ndarray, steps: int = 192) -> Shape:
     """A curve (radius, z) `(k, 2)` turned about z; its normals `(k, 2)`, of any length, lie on its left."""
-    turn = np.linspace(0, 2 * np.pi, steps + 1)
+    turn = 2 * np.pi * np.arange(steps) / steps
 
     def around(values):
-        r, z = values[:, :1], np.broadcast_to(values[:, 1:], (len(values), steps + 1))
+        r, z = values[:, :1], np.broadcast_to(values[:, 1:], (len(values), steps))
         return np.stack([r * np.cos(turn), r * np.sin(turn), z], -1).reshape(-1, 3)
 
-    return _shape(around(curve), around(normal), _quads(len(curve), steps + 1))
+    faces = _quads(len(curve), steps + 1)
+    row, column = np.divmod(faces, steps + 1)
+    return _shape(around(curve), around(normal), row * steps + column % steps)
 
 
 def planes(corners: Any) -> Shape:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -55,9 +56,9 @@ def bowl(seed: int) -> Shape:
 
 
 def grooves(seed: int) -> Shape:
-    """Flat strips that make V-shaped grooves of 64 degrees along y, exactly sharp."""
+    """Flat strips that make sharp V-shaped grooves of 64 degrees along y, which reach far beyond what is seen."""
     x, z = np.linspace(-HALF_WIDTH, HALF_WIDTH, 11), 0.4 * (np.arange(11) % 2)
-    y = HALF_WIDTH
+    y = 8 * HALF_WIDTH
     return planes(
         [[[x[k], -y, z[k]], [x[k + 1], -y, z[k + 1]], [x[k + 1], y, z[k + 1]], [x[k], y, z[k]]] for k in range(10)]
     )
@@ -93,7 +94,7 @@ def pillars(seed: int) -> Shape:
 
     def height(p):
         distance = jnp.sqrt(jnp.sum((p[None] - centres) ** 2, axis=-1) + 1e-8)
-        return jnp.sum(tall / (1 + jnp.exp((distance - radius) / 0.015)))
+        return jnp.sum(tall * jax.nn.sigmoid((radius - distance) / 0.015))
 
     return relief(height)
 
