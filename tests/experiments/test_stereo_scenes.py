@@ -185,6 +185,7 @@ def test_two_materials_share_a_surface():
     is_glossy = np.all(np.isclose(values, glossy, rtol=1e-5), axis=(1, 2))
     assert np.all(is_matte ^ is_glossy)
     assert 0.1 < is_matte.mean() < 0.9
+    assert not np.array_equal(values, photographs(shape, two, lights, size=20, seed=4).values)
 
 
 def test_a_texture_is_an_albedo():
