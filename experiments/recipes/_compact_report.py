@@ -174,8 +174,10 @@ def draw(medians: list[Row]) -> Any:
                 face = color if full else "white"
                 ax.loglog(*np.reshape(line, (-1, 2)).T, marker + "-", color=color, label=model, ms=8, mfc=face, mew=1.5)
                 if model == "compact":
-                    for n, log in line:
+                    *inner, last = line
+                    for n, log in inner:
                         ax.annotate(f"{n:g}", (n, log), (-5, -13), textcoords="offset points", ha="right", color=color)
+                    ax.annotate(f"{last[0]:g}", last, (8, -4), textcoords="offset points", color=color)
             ax.set(title=database, xlabel="numbers for three channels")
             ax.margins(y=0.08)
             ax.set_xlim(5, 1100)
