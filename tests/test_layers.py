@@ -46,7 +46,7 @@ SAME_FLOOR = {
 }
 """The only imports that stay on one floor, each in one direction."""
 
-LAZY = {"OpenEXR", "embreex", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "typer"}
+LAZY = {"OpenEXR", "embreex", "imagecodecs", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "typer"}
 """Heavy or optional: imported inside the function that needs them, so that `import hshjax` is quick without them."""
 
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve"}

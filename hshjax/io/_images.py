@@ -1,0 +1,82 @@
+"""Images exactly as they are stored: PNG of 8 and 16 bits, JPEG, OpenEXR. Kind by the first bytes, not by the name.
+
+PNG and JPEG go through imagecodecs: Pillow and what builds on it read 16-bit RGB as 8-bit without a word.
+"""
+
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from hshjax.io import exr
+from hshjax.io.errors import FileFormatError
+
+PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+JPEG_MAGIC = b"\xff\xd8\xff"
+SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+
+
+def read_image(path: str | PathLike) -> np.ndarray:
+    """Pixels as stored, `(rows, columns, channels)`: uint8, uint16, or float32 of OpenEXR. Row 0 on top.
+
+    Nothing is applied: no gamma, no profile, no orientation of EXIF. Palettes are looked up. An alpha channel of PNG
+    is left out if it is opaque throughout.
+
+    **Raises:** FileFormatError for other kinds, broken and truncated files, and transparent pixels; OSError where the
+    file cannot be opened; ImportError without the extra `photographs`.
+    """
+    path = Path(path)
+    content = path.read_bytes()
+    if content.startswith(exr.MAGIC):
+        return exr.read_exr(path)
+    pixels = _decoded(path, content)
+    pixels = pixels[..., None] if pixels.ndim == 2 else pixels
+    if pixels.shape[-1] in (2, 4):
+        transparent = int(np.sum(pixels[..., -1] != np.iinfo(pixels.dtype).max))
+        if transparent:
+            raise FileFormatError(path, "alpha channel", "opaque pixels", f"{transparent} that are not")
+        pixels = pixels[..., :-1]
+    return pixels
+
+
+def read_mask(path: str | PathLike) -> np.ndarray:
+    """Which pixels of an image count, bool `(rows, columns)`: where the mean of channels is above half its largest.
+
+    **Raises:** as `read_image`; FileFormatError for OpenEXR and for a mask that leaves nothing.
+    """
+    pixels = read_image(path)
+    if pixels.dtype.kind != "u":
+        raise FileFormatError(path, "pixels", "8 or 16 bits", str(pixels.dtype))
+    grey = pixels.mean(axis=-1)
+    mask = grey > grey.max() / 2  # files of 0 and 1 are about, beside those of 0 and 255
+    if not mask.any():
+        raise FileFormatError(path, "mask", "pixels that see the object, above 0", "none")
+    return mask
+
+
+def write_png(path: str | PathLike, pixels: np.ndarray) -> None:
+    """Write uint8 or uint16 pixels, `(rows, columns)` or `(rows, columns, 3)`, exactly."""
+    import imagecodecs
+
+    from hshjax.io._replace import replacing
+
+    content = imagecodecs.png_encode(np.ascontiguousarray(pixels))
+    with replacing(path) as beside:
+        beside.write_bytes(content)
+
+
+def _decoded(path: Path, content: bytes) -> np.ndarray:
+    import imagecodecs  # imported where it is used: optional
+
+    try:
+        if content.startswith(PNG_MAGIC):
+            return imagecodecs.png_decode(content)
+        if content.startswith(JPEG_MAGIC):
+            # The library fills in what is missing of a truncated file. Neither marker can stand inside pixel data.
+            if content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
+                raise FileFormatError(path, "end of the file", "the end of the JPEG image", "a truncated one")
+            return imagecodecs.jpeg8_decode(content)
+    except (RuntimeError, MemoryError, OverflowError) as error:
+        raise FileFormatError(path, "pixels", "an intact image", f"an error of the library: {error}") from error
+    got = repr(content[:8]) if content else "an empty file"
+    raise FileFormatError(path, "byte 0", "an image: PNG, JPEG or OpenEXR", got)
