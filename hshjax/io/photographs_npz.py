@@ -2,6 +2,7 @@
 
 import zipfile
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
@@ -33,7 +34,8 @@ def read_photographs_npz(
     """
     check_options(saturated, encoding)
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with Path(path).open("rb") as file:  # the library would leave it open where it refuses
+            archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise FileFormatError(path, "byte 0", "an archive of arrays (.npz)", "one array")
             others = [key for key in archive.files if key not in KEYS]
