@@ -41,12 +41,12 @@ SAME_FLOOR = {
     "metrics": {"_typing", "_special", "geometry", "quadrature"},
     "surface": {"camera"},
     "photographs": {"camera", "lighting"},
-    "io": {"photographs", "lighting"},
+    "io": {"photographs", "lighting", "surface"},
     "cli": {"plotting"},
 }
 """The only imports that stay on one floor, each in one direction."""
 
-LAZY = {"OpenEXR", "embreex", "imagecodecs", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "typer"}
+LAZY = {"OpenEXR", "embreex", "imagecodecs", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "trimesh", "typer"}
 """Heavy or optional: imported inside the function that needs them, so that `import hshjax` is quick without them."""
 
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve"}
@@ -179,8 +179,8 @@ def test_no_file_imports_pickle(path):
 
 
 def test_library_imports_only_its_declared_dependencies():
-    """So that a plain install has them, or an extra: `experiments` on floor 7, `mesh` for surfaces. Import and package
-    names agree."""
+    """So that a plain install has them, or an extra: `experiments` on floor 7, `mesh` for surfaces, `photographs` for
+    files. Import and package names agree."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
     def package_names(requirements):
@@ -192,5 +192,6 @@ def test_library_imports_only_its_declared_dependencies():
     for path in LIBRARY:
         allowed = declared | (extras["experiments"] if FLOORS.get(room(path)) == 7 else set())
         allowed |= extras["mesh"] if room(path) == "surface" else set()
+        allowed |= extras["photographs"] if room(path) == "io" else set()
         found = top_level_names(path, lazy=True)
         assert found - set(sys.stdlib_module_names) - {"hshjax"} <= allowed, path

@@ -8,8 +8,10 @@ from hshjax.io.light_positions import (
     read_photograph_folder as read_photograph_folder,
 )
 from hshjax.io.model import load_model as load_model, save_model as save_model
+from hshjax.io.normals import read_normals as read_normals, write_normals as write_normals
 from hshjax.io.photograph_layers import read_photograph_layers as read_photograph_layers
 from hshjax.io.photographs import read_photographs as read_photographs
 from hshjax.io.photographs_npz import read_photographs_npz as read_photographs_npz
+from hshjax.io.ply import write_ply as write_ply
 from hshjax.io.rgl import read_rgl as read_rgl
 from hshjax.io.tensor_file import read_tensor_file as read_tensor_file

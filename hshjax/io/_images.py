@@ -68,15 +68,17 @@ def write_png(path: str | PathLike, pixels: np.ndarray) -> None:
 def _decoded(path: Path, content: bytes) -> np.ndarray:
     import imagecodecs  # imported where it is used: optional
 
+    if content.startswith(PNG_MAGIC):
+        decode = imagecodecs.png_decode
+    elif content.startswith(JPEG_MAGIC):
+        decode = imagecodecs.jpeg8_decode
+        # The library fills in what is missing of a truncated file. Neither marker can stand inside pixel data.
+        if content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
+            raise FileFormatError(path, "end of the file", "the end of the JPEG image", "a truncated one")
+    else:
+        got = repr(content[:8]) if content else "an empty file"
+        raise FileFormatError(path, "byte 0", "an image: PNG, JPEG or OpenEXR", got)
     try:
-        if content.startswith(PNG_MAGIC):
-            return imagecodecs.png_decode(content)
-        if content.startswith(JPEG_MAGIC):
-            # The library fills in what is missing of a truncated file. Neither marker can stand inside pixel data.
-            if content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
-                raise FileFormatError(path, "end of the file", "the end of the JPEG image", "a truncated one")
-            return imagecodecs.jpeg8_decode(content)
-    except (RuntimeError, MemoryError, OverflowError) as error:
+        return decode(content)
+    except (RuntimeError, ValueError, MemoryError, OverflowError) as error:
         raise FileFormatError(path, "pixels", "an intact image", f"an error of the library: {error}") from error
-    got = repr(content[:8]) if content else "an empty file"
-    raise FileFormatError(path, "byte 0", "an image: PNG, JPEG or OpenEXR", got)
