@@ -9,8 +9,8 @@ from hshjax._typing import Bool, Float
 from hshjax.camera import PerspectiveCamera
 from hshjax.stereo._poisson import Edges, differences, solve
 
-TOLERANCE = 1e-10
-"""Of residuals, beside the right-hand side."""
+TOLERANCE, ROUGHLY = 1e-10, 1e-6
+"""Of residuals, beside the right-hand side; and while shares are not settled."""
 
 ROUNDS, SETTLED, STEEPNESS = 100, 1e-2, 2.0
 """With jumps: the most solutions, the change of any share that ends them, and how sharply residuals decide."""
@@ -135,16 +135,8 @@ def _integrated(normals: np.ndarray, inside: np.ndarray, view: _View, jumps: boo
     pairs = [inside[a] & inside[b] for a, b in ends]
     shares = [(np.full(pair.shape, 0.5), np.full(pair.shape, 0.5)) for pair in pairs]  # of the first and second pixel
     values = np.zeros(inside.shape)
-    for _ in range(ROUNDS if jumps else 1):
-        weights, weighted = [], []
-        for axis, ((a, b), pair, (of_a, of_b)) in enumerate(zip(ends, pairs, shares, strict=True)):
-            mean = of_a[..., None] * normals[a] + of_b[..., None] * normals[b]
-            weight, target = view.equation(mean, axis)
-            weights.append(np.where(pair, weight, 0) ** 2)
-            weighted.append(weights[-1] * target)
-        values = solve(Edges(*weights), Edges(*weighted), values, TOLERANCE)
-        if not jumps:
-            break
+    for _ in range(ROUNDS if jumps else 0):
+        values = solve(*_equations(normals, pairs, shares, view), values, ROUGHLY)
         before, shares = shares, []
         for axis, ((a, b), pair, change) in enumerate(zip(ends, pairs, differences(values), strict=True)):
             ahead, behind = np.zeros(inside.shape), np.zeros(inside.shape)  # 0 where there is no neighbour
@@ -155,7 +147,18 @@ def _integrated(normals: np.ndarray, inside: np.ndarray, view: _View, jumps: boo
         moved = max(np.max(np.abs(np.subtract(new, old)), initial=0) for new, old in zip(shares, before, strict=True))
         if moved < SETTLED:
             break
-    return values
+    return solve(*_equations(normals, pairs, shares, view), values, TOLERANCE)
+
+
+def _equations(normals: np.ndarray, pairs: list, shares: list, view: _View) -> tuple[Edges, Edges]:
+    """Weights, and weights times differences, of all pairs of neighbours."""
+    weights, weighted = [], []
+    ends = _ends(normals.shape[:2])
+    for axis, ((a, b), pair, (of_a, of_b)) in enumerate(zip(ends, pairs, shares, strict=True)):
+        weight, target = view.equation(of_a[..., None] * normals[a] + of_b[..., None] * normals[b], axis)
+        weights.append(np.where(pair, weight, 0) ** 2)
+        weighted.append(weights[-1] * target)
+    return Edges(*weights), Edges(*weighted)
 
 
 def _checked(normals: Any, mask: Any, positive: float, name: str) -> tuple[np.ndarray, np.ndarray]:
