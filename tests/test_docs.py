@@ -16,7 +16,14 @@ RUN = [
     ROOT / "README.md",
     *(
         ROOT / "docs" / f"{page}.md"
-        for page in ("fit_a_material", "fit_by_gradients", "fit_parameters", "light_a_surface", "photographs", "use_as_a_layer")
+        for page in (
+            "fit_a_material",
+            "fit_by_gradients",
+            "fit_parameters",
+            "light_a_surface",
+            "photographs",
+            "use_as_a_layer",
+        )
     ),
 ]
 

@@ -5,7 +5,7 @@ import statistics
 import subprocess
 import sys
 
-HEAVY = ["OpenEXR", "imagecodecs", "jaxopt", "matplotlib", "pydantic", "rich", "trimesh", "typer"]
+HEAVY = ["OpenEXR", "PIL", "imagecodecs", "jaxopt", "matplotlib", "pydantic", "rich", "trimesh", "typer"]
 DEPENDENCIES = "import jax, equinox, lineax, optimistix"
 
 

@@ -46,7 +46,19 @@ SAME_FLOOR = {
 }
 """The only imports that stay on one floor, each in one direction."""
 
-LAZY = {"OpenEXR", "embreex", "imagecodecs", "jaxopt", "matplotlib", "pydantic", "rich", "scipy", "trimesh", "typer"}
+LAZY = {
+    "OpenEXR",
+    "PIL",
+    "embreex",
+    "imagecodecs",
+    "jaxopt",
+    "matplotlib",
+    "pydantic",
+    "rich",
+    "scipy",
+    "trimesh",
+    "typer",
+}
 """Heavy or optional: imported inside the function that needs them, so that `import hshjax` is quick without them."""
 
 FORBIDDEN = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve"}
@@ -180,7 +192,7 @@ def test_no_file_imports_pickle(path):
 
 def test_library_imports_only_its_declared_dependencies():
     """So that a plain install has them, or an extra: `experiments` on floor 7, `mesh` for surfaces, `photographs` for
-    files. Import and package names agree."""
+    files. Import and package names agree, but for Pillow's."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
     def package_names(requirements):
@@ -193,5 +205,5 @@ def test_library_imports_only_its_declared_dependencies():
         allowed = declared | (extras["experiments"] if FLOORS.get(room(path)) == 7 else set())
         allowed |= extras["mesh"] if room(path) == "surface" else set()
         allowed |= extras["photographs"] if room(path) == "io" else set()
-        found = top_level_names(path, lazy=True)
+        found = {"pillow" if name == "PIL" else name for name in top_level_names(path, lazy=True)}
         assert found - set(sys.stdlib_module_names) - {"hshjax"} <= allowed, path

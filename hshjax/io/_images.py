@@ -1,8 +1,10 @@
 """Images exactly as they are stored: PNG of 8 and 16 bits, JPEG, OpenEXR. Kind by the first bytes, not by the name.
 
-PNG and JPEG go through imagecodecs: Pillow and what builds on it read 16-bit RGB as 8-bit without a word.
+PNG goes through imagecodecs: Pillow and what builds on it read 16-bit RGB as 8-bit without a word. JPEG goes through
+Pillow: imagecodecs fills in the rest of a truncated file.
 """
 
+import io
 from os import PathLike
 from pathlib import Path
 
@@ -13,6 +15,9 @@ from hshjax.io.errors import FileFormatError
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
+ORIENTATION = 0x0112
+"""Tag of EXIF (CIPA DC-008)."""
+
 SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
 
 
@@ -37,6 +42,21 @@ def read_image(path: str | PathLike) -> np.ndarray:
             raise FileFormatError(path, "alpha channel", "opaque pixels", f"{transparent} that are not")
         pixels = pixels[..., :-1]
     return pixels
+
+
+def orientation(path: str | PathLike) -> int:
+    """How EXIF wants a JPEG to be turned before it is shown: 1 for as it is stored, and for other kinds of files.
+
+    **Raises:** OSError where the file cannot be opened.
+    """
+    from PIL import Image
+
+    with Path(path).open("rb") as file:
+        if file.read(len(JPEG_MAGIC)) != JPEG_MAGIC:
+            return 1
+        file.seek(0)
+        with Image.open(file) as image:
+            return int(image.getexif().get(ORIENTATION, 1))
 
 
 def read_mask(path: str | PathLike) -> np.ndarray:
@@ -71,14 +91,20 @@ def _decoded(path: Path, content: bytes) -> np.ndarray:
     if content.startswith(PNG_MAGIC):
         decode = imagecodecs.png_decode
     elif content.startswith(JPEG_MAGIC):
-        decode = imagecodecs.jpeg8_decode
-        # The library fills in what is missing of a truncated file. Neither marker can stand inside pixel data.
-        if content.rfind(b"\xff\xd9") < content.rfind(b"\xff\xda"):
-            raise FileFormatError(path, "end of the file", "the end of the JPEG image", "a truncated one")
+        decode = _jpeg
     else:
         got = repr(content[:8]) if content else "an empty file"
         raise FileFormatError(path, "byte 0", "an image: PNG, JPEG or OpenEXR", got)
     try:
         return decode(content)
-    except (RuntimeError, ValueError, MemoryError, OverflowError) as error:
+    except (RuntimeError, ValueError, OSError, MemoryError, OverflowError, SyntaxError) as error:
         raise FileFormatError(path, "pixels", "an intact image", f"an error of the library: {error}") from error
+
+
+def _jpeg(content: bytes) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(content)) as image:
+        if image.mode not in ("L", "RGB"):
+            raise ValueError(f"colours {image.mode}, neither grey nor RGB")
+        return np.asarray(image)

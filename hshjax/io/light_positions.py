@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hshjax.io._images import SUFFIXES, read_image, read_mask
+from hshjax.io._images import SUFFIXES, orientation, read_image, read_mask
 from hshjax.io._photographs import Encoding, Saturated, assemble, check_options, make_lights
 from hshjax.io.errors import FileFormatError
 from hshjax.photographs import Photographs
@@ -109,6 +109,10 @@ def read_photograph_folder(
     mask = read_mask(mask_file) if mask_file.exists() else None
     if mask is None:
         notes.append(f"No {MASK}: every pixel is taken to see the object.")
+    turned = [name for name in names if orientation(images[name]) != 1]
+    if turned:
+        # A camera that looks down does not know how it is held: what EXIF says there is often chance.
+        notes.append(f"EXIF asks for {len(turned)} images to be turned ({', '.join(turned[:3])}): they are as stored.")
     return assemble(
         ((images[name], read_image(images[name])) for name in names),
         len(names),

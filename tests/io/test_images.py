@@ -79,7 +79,8 @@ def test_palettes_are_looked_up(tmp_path):
 def damaged() -> dict[str, tuple[bytes, str]]:
     whole, picture = png(noise(np.uint16, 30, 40, 3), 2), io.BytesIO()
     Image.fromarray(noise(np.uint8, 100, 100, 3)).save(picture, "JPEG", progressive=True)
-    jpeg = picture.getvalue()
+    jpeg, cmyk = picture.getvalue(), io.BytesIO()
+    Image.fromarray(noise(np.uint8, 9, 9, 4), "CMYK").save(cmyk, "JPEG")
     spoiled = bytearray(whole)
     spoiled[200] ^= 1
     transparent = noise(np.uint8, 3, 3, 4)
@@ -93,8 +94,9 @@ def damaged() -> dict[str, tuple[bytes, str]]:
         "png a bit": (bytes(spoiled), "pixels: expected an intact image"),
         "png size": (whole[:8] + chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 60000, 16, 2, 0, 0, 0)), "intact image"),
         "jpeg start": (jpeg[:100], "expected"),
-        "jpeg half": (jpeg[: len(jpeg) // 2], "end of the file: expected the end of the JPEG image, got a truncated"),
-        "jpeg end": (jpeg[:-2], "end of the file: expected the end of the JPEG image, got a truncated one"),
+        "jpeg half": (jpeg[: len(jpeg) // 2], "pixels: expected an intact image, got .* truncated"),
+        "jpeg end": (jpeg[:-2], "pixels: expected an intact image, got .* truncated"),
+        "cmyk": (cmyk.getvalue(), "pixels: expected an intact image, got .* colours CMYK, neither grey nor RGB"),
         "alpha": (png(transparent, 6), "alpha channel: expected opaque pixels, got 2 that are not"),
     }
 

@@ -153,6 +153,19 @@ def test_jpeg(tmp_path):
     )
 
 
+def test_jpeg_that_wants_to_be_turned_is_left_as_it_is_and_noted(tmp_path):
+    path = folder(tmp_path / "a", noise(np.uint8, 3, *SHAPE, 3))
+    pixels = np.broadcast_to(np.arange(COLUMNS, dtype=np.uint8)[:, None] * 20, (*SHAPE, 3))
+    for name, way in zip(NAMES, (6, 1, 3), strict=True):
+        exif = Image.Exif()
+        exif[0x0112] = way
+        Image.fromarray(pixels).save(path / name, "JPEG", quality=100, subsampling=0, exif=exif)
+    photographs = read_photograph_folder(path)
+    assert photographs.mask.shape == SHAPE
+    assert has(photographs, "EXIF asks for 2 images to be turned (left side.png, a.png): they are as stored.")
+    np.testing.assert_allclose(photographs.image(photographs.values[:, 0]) * 255, pixels, atol=4)
+
+
 def test_saturated_values(tmp_path):
     images = noise(np.uint8, 3, *SHAPE)
     images[1, 2, 3] = 255
