@@ -1,15 +1,14 @@
 """Photographs in the folder layout of DiLiGenT (Shi et al., A Benchmark Dataset and Evaluation for Non-Lambertian and
 Uncalibrated Photometric Stereo, TPAMI 41(2), 2019), as downloaded or cropped."""
 
-import io
 import warnings
-import zlib
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from hshjax.io._images import read_image, read_mask
+from hshjax.io._mat import read_mat_floats
 from hshjax.io._photographs import Saturated, assemble, check_options, make_lights
 from hshjax.io.errors import FileFormatError
 from hshjax.photographs import Photographs
@@ -96,19 +95,8 @@ def _table(path: Path, rows: int, listing: Path) -> np.ndarray:
 
 
 def _normals(path: Path, mask: np.ndarray) -> np.ndarray:
-    """`(rows, columns, 3)` of a MATLAB file of version 5 to 7."""
-    from scipy.io import loadmat  # imported where it is used: slow, and few programs read these files
-    from scipy.io.matlab import MatReadError
-
-    content = path.read_bytes()  # what is an OSError below is one of the format
-    try:
-        fields = loadmat(io.BytesIO(content), variable_names=[NORMALS])
-    except (MatReadError, NotImplementedError, ValueError, TypeError, OSError, IndexError, zlib.error) as error:
-        raise FileFormatError(path, "header", "a MATLAB file of version 5 to 7", f"{error}") from error
-    if NORMALS not in fields:
-        raise FileFormatError(path, f"field {NORMALS!r}", "this field", "none of this name")
-    normals = np.asarray(fields[NORMALS])
-    if normals.shape != (*mask.shape, 3) or normals.dtype.kind != "f":
-        expected = f"floats of shape {(*mask.shape, 3)}, as the mask"
-        raise FileFormatError(path, f"field {NORMALS!r}", expected, f"{normals.shape} of {normals.dtype}")
+    normals = read_mat_floats(path, NORMALS)
+    if normals.shape != (*mask.shape, 3):
+        expected = f"shape {(*mask.shape, 3)}, as the mask"
+        raise FileFormatError(path, f"field {NORMALS!r}", expected, str(normals.shape))
     return normals

@@ -19,7 +19,11 @@ def exr_channels(path: str | PathLike) -> tuple[str, ...]:
 
     **Raises:** as `read_exr`.
     """
-    return _ordered(channel.name for channel in _part(path, header_only=True).header["channels"])
+    part = _part(path, header_only=True)
+    try:
+        return _ordered(channel.name for channel in part.header["channels"])
+    except UnicodeDecodeError as error:  # names are decoded where they are looked at
+        raise FileFormatError(path, "header", "names of channels in UTF-8", f"{error}") from error
 
 
 def read_exr(path: str | PathLike, channels: Sequence[str] | None = None) -> np.ndarray:

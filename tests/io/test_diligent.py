@@ -157,18 +157,18 @@ MALFORMED = {
     ),
     "a mask of another size": (
         image("mask.png", np.full((4, 5), 255, np.uint8)),
-        r"Normal_gt.mat: .*expected floats of shape \(4, 5, 3\), as the mask",
+        r"Normal_gt.mat: .*expected shape \(4, 5, 3\), as the mask",
     ),
     "an empty mask": (
         image("mask.png", np.zeros((ROWS, COLUMNS), np.uint8)),
         "mask.png: mask: expected pixels that see the object, above 0, got none",
     ),
     "a truncated image": (cut("008.png"), "008.png: pixels: expected an intact image"),
-    "truncated normals": (cut("Normal_gt.mat"), "Normal_gt.mat: header: expected a MATLAB file"),
+    "truncated normals": (cut("Normal_gt.mat"), "Normal_gt.mat: data: expected elements whose types and sizes fit"),
     "no normals in the file": (mat(other=np.ones(3)), "Normal_gt.mat: field 'Normal_gt': expected this field"),
     "normals of another size": (
         mat(Normal_gt=np.ones((4, 4, 3))),
-        r"expected floats of shape \(6, 5, 3\), as the mask, got \(4, 4, 3\)",
+        r"expected shape \(6, 5, 3\), as the mask, got \(4, 4, 3\)",
     ),
     "normals that are none": (text("Normal_gt.mat", "x" * 300), "Normal_gt.mat: header: expected a MATLAB file"),
 }

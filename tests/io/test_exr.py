@@ -118,6 +118,15 @@ def test_corrupt_pixels_are_refused(tmp_path):
         read_exr(tmp_path / "a.exr")
 
 
+def test_names_that_are_no_text_are_refused(tmp_path):
+    write_exr(tmp_path / "a.exr", image(4, 4, 2), ("depth", "other"))
+    content = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(content.replace(b"depth", b"dep\xd8h"))
+    for read in (exr_channels, read_exr):
+        with pytest.raises(FileFormatError, match=r"a\.exr: header: expected"):
+            read(tmp_path / "a.exr")
+
+
 def test_an_absurd_size_is_refused(tmp_path):
     write_exr(tmp_path / "a.exr", image(4, 4, 1))
     content = (tmp_path / "a.exr").read_bytes()
