@@ -5,6 +5,7 @@ Pillow: imagecodecs fills in the rest of a truncated file.
 """
 
 import io
+import struct
 from os import PathLike
 from pathlib import Path
 
@@ -47,16 +48,22 @@ def read_image(path: str | PathLike) -> np.ndarray:
 def orientation(path: str | PathLike) -> int:
     """How EXIF wants a JPEG to be turned before it is shown: 1 for as it is stored, and for other kinds of files.
 
-    **Raises:** OSError where the file cannot be opened.
+    **Raises:** FileFormatError where that cannot be read; OSError where the file cannot be opened.
     """
     from PIL import Image
 
-    with Path(path).open("rb") as file:
+    path = Path(path)
+    with path.open("rb") as file:
         if file.read(len(JPEG_MAGIC)) != JPEG_MAGIC:
             return 1
         file.seek(0)
-        with Image.open(file) as image:
-            return int(image.getexif().get(ORIENTATION, 1))
+        try:
+            with Image.open(file) as image:
+                return int(image.getexif().get(ORIENTATION, 1))
+        except (OSError, ValueError, TypeError, SyntaxError, struct.error) as error:
+            raise FileFormatError(
+                path, "header", "an intact JPEG image", f"an error of the library: {error}"
+            ) from error
 
 
 def read_mask(path: str | PathLike) -> np.ndarray:

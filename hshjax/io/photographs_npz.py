@@ -33,19 +33,19 @@ def read_photographs_npz(
     that are damaged or hold Python objects; OSError where the file cannot be opened.
     """
     check_options(saturated, encoding)
-    try:
-        with Path(path).open("rb") as file:  # the library would leave it open where it refuses
+    with Path(path).open("rb") as file:  # the library would leave it open where it refuses
+        try:
             archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise FileFormatError(path, "byte 0", "an archive of arrays (.npz)", "one array")
             others = [key for key in archive.files if key not in KEYS]
             arrays = {key: archive[key] for key in KEYS if key in archive.files}
-    except (zipfile.BadZipFile, EOFError, NotImplementedError) as error:
-        raise FileFormatError(path, "archive", "an intact one (.npz)", str(error)) from error
-    except FileFormatError:
-        raise
-    except ValueError as error:  # objects, and what is no array at all
-        raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", str(error)) from error
+        except FileFormatError:
+            raise
+        except ValueError as error:  # objects, and what is no array at all
+            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", str(error)) from error
+        except (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, MemoryError) as error:
+            raise FileFormatError(path, "archive", "an intact one (.npz)", str(error)) from error
     fields = _Arrays(path, arrays)
     images = fields.get("images", "uf", (3, 4))
     if images is None:

@@ -166,6 +166,17 @@ def test_jpeg_that_wants_to_be_turned_is_left_as_it_is_and_noted(tmp_path):
     np.testing.assert_allclose(photographs.image(photographs.values[:, 0]) * 255, pixels, atol=4)
 
 
+def test_a_truncated_jpeg(tmp_path):
+    path = folder(tmp_path / "a", noise(np.uint8, 3, *SHAPE, 3))
+    for name in NAMES:
+        Image.fromarray(noise(np.uint8, 60, 80, 3)).save(path / name, "JPEG")
+    content = (path / "b.png").read_bytes()
+    for keep, place in ((3, "header"), (40, "header"), (len(content) // 2, "pixels"), (len(content) - 2, "pixels")):
+        (path / "b.png").write_bytes(content[:keep])
+        with pytest.raises(FileFormatError, match=f"b.png: {place}: expected an intact"):
+            read_photograph_folder(path)
+
+
 def test_saturated_values(tmp_path):
     images = noise(np.uint8, 3, *SHAPE)
     images[1, 2, 3] = 255
@@ -428,6 +439,15 @@ def test_a_damaged_archive_is_found_by_its_checksums(tmp_path):
     content[400] ^= 1
     (tmp_path / "a.npz").write_bytes(content)
     with pytest.raises(FileFormatError, match=r"a\.npz: archive: expected an intact one"):
+        read_photographs(tmp_path / "a.npz")
+
+
+def test_an_archive_that_calls_itself_encrypted(tmp_path):
+    archive(tmp_path / "a.npz")
+    content = bytearray((tmp_path / "a.npz").read_bytes())
+    content[content.rindex(b"PK\x01\x02") + 8] |= 1
+    (tmp_path / "a.npz").write_bytes(content)
+    with pytest.raises(FileFormatError, match=r"a\.npz: archive: expected an intact one .* encrypted"):
         read_photographs(tmp_path / "a.npz")
 
 
