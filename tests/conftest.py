@@ -22,8 +22,8 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 MAPPINGS = 20_000
-"""Of a process, above which compiled programs are dropped. Each one of XLA's maps memory some ten times, and Linux grants
-65 530 mappings: the program that asks for one more kills its process."""
+"""Of a process, above which compiled programs are dropped. Each one of XLA's maps memory some ten times, and Linux
+grants 65 530 mappings: the program that asks for one more kills its process."""
 
 # Every annotated function of the library checks its shapes while the tests run.
 _hook = install_import_hook("hshjax", "beartype.beartype")

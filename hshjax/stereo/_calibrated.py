@@ -1,0 +1,83 @@
+"""Normals and reflectance under known lights."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax.photographs import Photographs
+from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess
+from hshjax.stereo._history import History, Progress
+from hshjax.stereo._learn import coefficients_of, learn
+from hshjax.stereo._observe import Observations
+from hshjax.stereo._propagate import FAR, neighbours
+from hshjax.stereo._result import Stereo
+from hshjax.stereo._shading import shading_table
+from hshjax.stereo._stages import finish, hand_on, refine_all, start
+from hshjax.stereo._weights import LIMIT
+
+
+def solve_calibrated(
+    photographs: Photographs,
+    *,
+    materials: int = 2,
+    columns: Sequence[Column] | None = None,
+    pixels: int = 3000,
+    rounds: int = 10,
+    sweeps: int = 8,
+    smoothness: float = 7.0,
+    stray: bool = True,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Stereo:
+    """Normals, weights of materials and their BRDF, from photographs under known lights far away.
+
+    Lambert's law on values of middle ranks gives a start. On some pixels the BRDF of a few materials is learned, each a
+    combination of `columns`, while normals and weights answer (variable projection). Then every pixel is solved, and
+    normals are handed on between neighbours where they explain the photographs.
+
+    - `materials`: how many BRDFs the surface is mixed of, 1 to 5.
+    - `columns`: isotropic reciprocal bases and single-channel BRDFs; None: `default_columns`. More of them follow a
+      material better and need more of the surface to be determined.
+    - `pixels`, `rounds`: how many pixels materials are learned from, and how long.
+    - `sweeps`: of handing on, 0 for none. - `smoothness`: how much agreement with neighbours counts in it, in units of
+      the noise that is found: the worse photographs are explained, the more.
+    - `stray`: whether light that strays (a share of the mean of each photograph) is found and taken off.
+    - `seed`: of the choice of pixels. - `progress`: called with a stage, what is done and what there is to do.
+
+    **Raises:** ValueError for photographs that do not determine normals (`Observations`), and for other arguments out
+    of range.
+    """
+    if not 1 <= materials <= LIMIT:
+        raise ValueError(f"materials must be 1 to {LIMIT}, got {materials}")
+    for name, value, least in (("pixels", pixels, 1), ("rounds", rounds, 0), ("sweeps", sweeps, 0)):
+        if value < least:
+            raise ValueError(f"{name} must be at least {least}, got {value}")
+    columns = default_columns() if columns is None else columns
+    observations, history = Observations(photographs), History(progress)
+    steps = observations.steps
+    with history.stage("start", steps) as done:
+        pq = start(observations, done)
+    with history.stage("learn", rounds) as done:
+        table = shading_table(column_brdfs(columns), observations.directions)
+        guess = coefficients_of(table, shading_table(first_guess(materials), observations.directions))
+        chosen = np.sort(np.random.default_rng(seed).permutation(photographs.pixels)[:pixels])
+        shared = learn(
+            table, guess, observations.pixels(chosen), jnp.asarray(pq[chosen]), rounds=rounds, stray=stray, done=done
+        )
+        done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
+    mixed = table.mixed(shared.coefficients)
+    with history.stage("normals", steps) as done:
+        pq = refine_all(observations, mixed, shared, pq, 4, 8, done)
+    with history.stage("neighbours", steps * sweeps) as done:
+        near, amount = neighbours(photographs.mask), smoothness * shared.noise**0.5
+        for sweep in range(sweeps):
+            far = neighbours(photographs.mask, FAR[sweep % len(FAR)])
+            pq = hand_on(observations, mixed, shared, pq, near, far, amount, done)
+    with history.stage("reflectance", steps) as done:
+        found = finish(observations, mixed, shared, pq, done)
+        done.figures["outliers"] = float(np.mean(found["outliers"]))
+    return Stereo(
+        brdf=combined(columns, shared.coefficients), lights=observations.lights, stray=float(shared.stray),
+        mask=photographs.mask, history=tuple(history.stages), **found,
+    )  # fmt: skip

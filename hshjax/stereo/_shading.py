@@ -1,0 +1,78 @@
+"""Shading tables: the view is fixed, so that what a light makes of an isotropic BRDF depends on the normal alone.
+
+Tabulated over the chart of normals, every BRDF costs the same a pixel: four rows of a table.
+"""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from hshjax._typing import Array, Float
+from hshjax.bases._base import matmul
+from hshjax.brdfs import AbstractBRDF
+from hshjax.lighting import DirectionalLight
+from hshjax.reflectance import reflect
+from hshjax.stereo._chart import grid
+
+
+class ShadingTable(eqx.Module):
+    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light.
+
+    - `values` `(size², columns, lights)`: at the nodes of `grid(size)`.
+    """
+
+    values: Float[Array, "nodes columns lights"]
+    size: int = eqx.field(static=True)
+
+    def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
+        """Bilinear between nodes."""
+        corners, u, v = self._cell(pq)
+        return _between(_between(corners[0], corners[1], v), _between(corners[2], corners[3], v), u)
+
+    def with_slope(
+        self, pq: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
+        """The same, and its derivative in p and q."""
+        corners, u, v = self._cell(pq)
+        left, right = _between(corners[0], corners[1], v), _between(corners[2], corners[3], v)
+        along_p = right - left
+        along_q = _between(corners[1] - corners[0], corners[3] - corners[2], u)
+        cells = (self.size - 1) / 2
+        return _between(left, right, u), jnp.stack([along_p, along_q], axis=1) * cells
+
+    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTable":
+        """The table of linear combinations of the columns."""
+        values = matmul(coefficients, jnp.moveaxis(self.values, 1, 0).reshape(self.values.shape[1], -1))
+        values = values.reshape(coefficients.shape[0], self.values.shape[0], -1)
+        return ShadingTable(jnp.moveaxis(values, 0, 1), self.size)
+
+    def _cell(self, pq: Array) -> tuple[list[Array], Array, Array]:
+        """Rows at the corners (0, 0), (0, 1), (1, 0), (1, 1) of the cells that points lie in, and where in them."""
+        place = (pq + 1) * ((self.size - 1) / 2)
+        corner = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, self.size - 2)
+        inside = place - corner.astype(place.dtype)
+        first = corner[:, 0] * self.size + corner[:, 1]
+        rows = [self.values[first + step] for step in (0, 1, self.size, self.size + 1)]
+        return rows, inside[:, :1, None], inside[:, 1:, None]
+
+
+def _between(a: Array, b: Array, share: Array) -> Array:
+    return a + share * (b - a)
+
+
+@eqx.filter_jit
+def shading_table(brdfs: Sequence[AbstractBRDF], directions: Float[Array, "lights 3"], size: int = 129) -> ShadingTable:
+    """The table of all channels of some isotropic BRDFs, one after the other, for a view along +z.
+
+    `directions`: towards the lights, in the world of the camera. In their dtype.
+    """
+    normals = jnp.asarray(grid(size)[0], directions.dtype)
+    view = jnp.asarray([0, 0, 1], directions.dtype)
+
+    def under(direction):
+        light = DirectionalLight(direction, jnp.ones((), directions.dtype))
+        return jnp.concatenate([reflect(brdf, light, normals, view) for brdf in brdfs], axis=1)
+
+    return ShadingTable(jnp.moveaxis(jax.lax.map(under, directions), 0, 2), size)

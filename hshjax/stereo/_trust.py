@@ -1,0 +1,60 @@
+"""How much a value counts: noise grows with brightness, dark values are shadows, what does not fit is an outlier."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._typing import Array, Float
+
+BRIGHT = 0.9
+"""Quantile over lights that a pixel is divided by: above most shadows, below most highlights."""
+
+DARK = 0.15
+"""Of that quantile: what is darker may lie in shadow, lit by other parts of the object."""
+
+CUT = 3.0
+"""Scales beyond which a value counts for nothing."""
+
+
+def brightness(values: Float[np.ndarray, "pixels lights"]) -> Float[np.ndarray, "pixels 1"]:
+    """What pixels are divided by, so that all count alike: a high quantile of what is known. 1 for black pixels."""
+    unknown = np.isnan(values)
+    if unknown.any():
+        blind = unknown.all(axis=1)
+        level = np.zeros((len(values), 1), values.dtype)
+        level[~blind] = np.nanquantile(values[~blind], BRIGHT, axis=1, keepdims=True)
+    else:
+        level = np.quantile(values, BRIGHT, axis=1, keepdims=True).astype(values.dtype)
+    return np.where(level > 0, level, 1).astype(values.dtype)
+
+
+def initial_trust(
+    values: Float[Array, "n lights"], known: Float[Array, "n lights"], dark: float = 0.0
+) -> Float[Array, "n lights"]:
+    """1 / sqrt(I + 0.1) of values relative to `brightness`, as photon noise and a floor have it; 0 where unknown.
+
+    Below `DARK` it is `dark` times what it is there: 0 for normals, which shadows would bend; more for what is learned
+    of all pixels together, for shadows tell of light that strays.
+    """
+    lit = 1 / jnp.sqrt(jnp.maximum(values, DARK) + 0.1)
+    return known * jnp.where(values > DARK, lit, dark * lit)
+
+
+@eqx.filter_jit
+def robust_trust(residual: Float[Array, "n lights"], initial: Float[Array, "n lights"]) -> Float[Array, "n lights"]:
+    """Tukey's biweight of residuals [relative to `brightness`] times the initial trust.
+
+    Source: Beaton & Tukey, The Fitting of Power Series, Meaning Polynomials, Technometrics 16(2), 1974.
+    """
+    return initial * biweight(residual, residual_scale(residual))
+
+
+def residual_scale(residual: Float[Array, "n lights"]) -> Float[Array, "n 1"]:
+    """1.5 median |r| + 0.01, of each pixel."""
+    return 1.5 * jnp.median(jnp.abs(residual), axis=1, keepdims=True) + 0.01
+
+
+def biweight(residual: Float[Array, "n lights"], scale: Float[Array, "n 1"]) -> Float[Array, "n lights"]:
+    """(1 - (r / 3 scale)²)², 0 beyond three scales."""
+    x = residual / (CUT * scale)
+    return jnp.where(jnp.abs(x) < 1, (1 - x * x) ** 2, 0)
