@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from hshjax.stereo._weights import LIMIT, non_negative_weights, solve
 from hshjax.stereo._trust import median
+from hshjax.stereo._weights import LIMIT, non_negative_weights, solve
 from tests.helpers import DTYPE
 
 
