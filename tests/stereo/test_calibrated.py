@@ -25,8 +25,10 @@ def test_a_glossy_ball(glossy):
     errors = angular_errors(found.normals, photographs.truth)
     assert np.mean(errors) < 1.0  # band and Lambert alone: more than 2
     np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1, rtol=1e-5)
-    assert found.weights.shape == (photographs.pixels, 2, 1) and np.all(found.weights >= 0)
-    assert found.stray < 0.01 and found.mask is photographs.mask
+    assert found.weights.shape == (photographs.pixels, 2, 1)
+    assert np.all(found.weights >= 0)
+    assert found.stray < 0.01
+    assert found.mask is photographs.mask
 
 
 def test_the_model_predicts_the_photographs(glossy):
@@ -92,10 +94,13 @@ def test_unknown_values_do_not_count():
     values[7] = np.nan  # a pixel of which nothing is known
     found = solve_calibrated(changed(photographs, values), pixels=200, rounds=3, sweeps=1)
     errors = angular_errors(found.normals, photographs.truth)
-    assert np.all(np.isfinite(found.normals)) and np.all(np.isfinite(found.weights))
+    assert np.all(np.isfinite(found.normals))
+    assert np.all(np.isfinite(found.weights))
     assert np.median(errors) < 2
-    assert np.isinf(found.deviation[7]) and np.all(found.weights[7] == 0)
-    assert not found.outliers[7].any() and not found.shadows[7].any()
+    assert np.isinf(found.deviation[7])
+    assert np.all(found.weights[7] == 0)
+    assert not found.outliers[7].any()
+    assert not found.shadows[7].any()
 
 
 def test_outliers_are_found():
@@ -106,7 +111,8 @@ def test_outliers_are_found():
     values[spoiled] *= 2.5
     found = solve_calibrated(changed(photographs, values), pixels=200, rounds=4, sweeps=1)
     lit = spoiled & ~found.shadows
-    assert np.mean(found.outliers[lit]) > 0.7 and np.mean(found.outliers[~spoiled]) < 0.1
+    assert np.mean(found.outliers[lit]) > 0.7
+    assert np.mean(found.outliers[~spoiled]) < 0.1
     assert np.median(angular_errors(found.normals, photographs.truth)) < 2
 
 
@@ -169,7 +175,7 @@ def test_what_determines_nothing_is_refused(spoil, message):
 
 
 def test_two_photographs_are_refused():
-    with pytest.raises(ValueError, match="fewer than three photographs .* got 2"):
+    with pytest.raises(ValueError, match=r"fewer than three photographs .* got 2"):
         solve_calibrated(ball(size=12, lights=2))
 
 

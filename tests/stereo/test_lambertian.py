@@ -51,7 +51,8 @@ def test_what_is_not_determined_is_not_a_number():
     values[3] = np.nan
     values[5] = 0
     found = lambertian(changed(photographs, values), "least squares")
-    assert np.all(np.isnan(found.normals[[3, 5]])) and np.all(np.isnan(found.albedo[[3, 5]]))
+    assert np.all(np.isnan(found.normals[[3, 5]]))
+    assert np.all(np.isnan(found.albedo[[3, 5]]))
     assert np.all(np.isfinite(np.delete(found.normals, [3, 5], axis=0)))
 
 

@@ -14,7 +14,7 @@ from tests.helpers import DTYPE
 
 def lights(count=5):
     rng = np.random.default_rng(0)
-    directions = rng.normal(size=(count, 3)) + [0, 0, 3]
+    directions = rng.normal(size=(count, 3)) + np.array([0, 0, 3])
     return jnp.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True), DTYPE)
 
 
@@ -41,7 +41,8 @@ def test_normals_that_face_away_are_moved_to_the_rim():
 
 def test_nodes_beyond_the_rim_hold_the_normal_at_the_rim():
     normals, inside = grid(9)
-    assert normals.shape == (81, 3) and 0 < inside.sum() < 81
+    assert normals.shape == (81, 3)
+    assert 0 < inside.sum() < 81
     assert np.all(normals[:, 2] > 0)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
 
@@ -58,7 +59,8 @@ def test_a_table_is_the_reflectance_equation(size):
         # A kink at the terminator: errors there are of first order in the step.
         lit = np.asarray(from_chart(pq) @ direction) > 0.1
         assert np.max(np.abs(found[:, 0, k] - exact)[lit]) < 20 / size**2
-    assert found.shape == (200, 1, 5) and found.dtype == DTYPE
+    assert found.shape == (200, 1, 5)
+    assert found.dtype == DTYPE
 
 
 def test_slopes_are_those_of_the_table():

@@ -22,7 +22,8 @@ def test_weights_are_those_of_scipy(k):
     gram, moment = np.einsum("nri,nrj->nij", matrices, matrices), np.einsum("nri,nr->ni", matrices, right)
     weights, explained = non_negative_weights(jnp.asarray(gram, DTYPE), jnp.asarray(moment, DTYPE))
     expected = np.stack([nnls(a, b)[0] for a, b in zip(matrices, right, strict=True)])
-    assert np.any(expected == 0) and np.any(expected > 0)
+    assert np.any(expected == 0)
+    assert np.any(expected > 0)
     # Squared condition numbers of up to some hundreds.
     np.testing.assert_allclose(weights, expected, atol=1e-8 if DTYPE == "float64" else 5e-3)
     np.testing.assert_allclose(explained, np.sum(expected * moment, axis=1), atol=1e-7 if DTYPE == "float64" else 2e-2)
@@ -30,7 +31,8 @@ def test_weights_are_those_of_scipy(k):
 
 def test_nothing_to_explain_has_no_weights():
     weights, explained = non_negative_weights(jnp.zeros((3, 2, 2), DTYPE), jnp.zeros((3, 2), DTYPE))
-    assert np.all(np.asarray(weights) == 0) and np.all(np.asarray(explained) == 0)
+    assert np.all(np.asarray(weights) == 0)
+    assert np.all(np.asarray(explained) == 0)
 
 
 def test_equal_columns_share_no_weight():
