@@ -88,7 +88,7 @@ def stereo(
     from hshjax.cli._stereo_report import write_report
     from hshjax.io import read_photographs
 
-    _check_target(path, out, force)
+    _check_paths(path, out, force)
     given = {"rounds": rounds, "sweeps": sweeps}
     options = {
         "materials": materials,
@@ -119,9 +119,11 @@ def stereo(
     console.print(f"report: {out / 'report.html'}", soft_wrap=True)
 
 
-def _check_target(path: Path, out: Path, force: bool) -> None:
-    """Exits where results cannot or must not be written, before anything is computed."""
-    if out.exists() and path.exists() and out.resolve() in (path.resolve(), path.resolve().parent):
+def _check_paths(path: Path, out: Path, force: bool) -> None:
+    """Exits where there is nothing to read, and where results cannot or must not be written: before any work."""
+    if not path.exists():
+        raise failure(f"{path}: there is no such file or folder")
+    if out.exists() and out.resolve() in (path.resolve(), path.resolve().parent):
         raise failure(f"{out} holds the photographs: results go into another folder")
     if not out.absolute().parent.is_dir():
         raise failure(f"{out}: there is no folder {out.absolute().parent}")
@@ -186,12 +188,16 @@ def _display() -> Iterator[Callable[[str, int, int], None]]:
     columns = (
         TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=complaints, transient=True) as bars:
-        tasks: dict[str, Any] = {}
+    bars = Progress(*columns, console=complaints, transient=True)
+    tasks: dict[str, Any] = {}
 
-        def progress(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=total)
-            bars.update(tasks[stage], completed=done, total=total)
+    def progress(stage: str, done: int, total: int) -> None:
+        bars.start()  # not before: an error that comes first has the screen to itself
+        if stage not in tasks:
+            tasks[stage] = bars.add_task(stage, total=total)
+        bars.update(tasks[stage], completed=done, total=total)
 
+    try:
         yield progress
+    finally:
+        bars.stop()

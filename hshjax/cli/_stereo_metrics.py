@@ -1,6 +1,7 @@
 """How good a solution is: what the truth says where there is one, and what the photographs say themselves."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,8 +38,8 @@ class Solved(NamedTuple):
         error = None if photographs.truth is None else angular_errors(stereo.normals, photographs.truth)
         misfit, explained = _explained(photographs, stereo, predicted)
         metrics = {
-            "mean_angular_error_degrees": _mean(error),
-            "median_angular_error_degrees": None if _mean(error) is None else float(np.nanmedian(error)),
+            "mean_angular_error_degrees": _of_known(np.mean, error),
+            "median_angular_error_degrees": _of_known(np.median, error),
             "mean_light_direction_error_degrees": None,
             "mean_light_intensity_error": None,
             "seconds": round(seconds, 3),
@@ -129,8 +130,10 @@ def intensities(lights: Any) -> np.ndarray:
     return irradiance.reshape(len(irradiance), -1).mean(axis=1)
 
 
-def _mean(error: np.ndarray | None) -> float | None:
-    return None if error is None or np.all(np.isnan(error)) else float(np.nanmean(error))
+def _of_known(statistic: Callable, error: np.ndarray | None) -> float | None:
+    """Of what is no NaN; None where there is nothing else."""
+    known = np.zeros(0) if error is None else error[np.isfinite(error)]
+    return float(statistic(known)) if known.size else None
 
 
 def _finite(value: float) -> float | None:

@@ -47,18 +47,18 @@ def maps(solved: Solved) -> bytes:
     outliers."""
     stereo = solved.stereo
     deviation = np.degrees(stereo.deviation)
-    columns: dict[str, tuple[np.ndarray, str]] = {}
+    columns: dict[str, tuple[np.ndarray, str, float]] = {}  # values, unit, the least that a scale ends at
     if solved.error is not None:
-        columns["angular error"] = solved.error, "degrees"
+        columns["angular error"] = solved.error, "degrees", 1e-3
     columns |= {
-        "predicted deviation": (np.where(np.isfinite(deviation), deviation, np.nan), "degrees"),
-        "misfit": (100 * solved.misfit, "% of the pixel's RMS"),
-        "outliers": (100 * stereo.outliers.mean(axis=1), "% of photographs"),
+        "predicted deviation": (np.where(np.isfinite(deviation), deviation, np.nan), "degrees", 1e-3),
+        "misfit": (100 * solved.misfit, "% of the pixel's RMS", 1e-3),
+        "outliers": (100 * stereo.outliers.mean(axis=1), "% of photographs", 1.0),
     }
     figure, axes = _canvas(1, len(columns), stereo, extra=0.75)
-    for axis, (title, (values, unit)) in zip(axes[0], columns.items(), strict=True):
+    for axis, (title, (values, unit, least)) in zip(axes[0], columns.items(), strict=True):
         known = values[np.isfinite(values)]
-        top = max(float(np.quantile(known, 0.98)), 1e-3) if known.size else 1.0
+        top = max(float(np.quantile(known, 0.98)), least) if known.size else least
         image = np.full(stereo.mask.shape, np.nan)
         image[stereo.mask] = values
         drawn = axis.imshow(_cropped(image, stereo), cmap="viridis", vmin=0, vmax=top, interpolation="nearest")
