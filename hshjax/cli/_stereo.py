@@ -99,7 +99,7 @@ def stereo(
         solve = _solver(lights, options)
         photographs = read_photographs(path, encoding=encoding, saturated=saturated, near=near)
         if photographs.lights is None and lights != "unknown":
-            raise failure(f"{path}: nothing is known of the lights; give a light file (*.lp), or --lights unknown")
+            raise ValueError(f"{path}: nothing is known of the lights; give a light file (*.lp), or --lights unknown")
         begin = time.perf_counter()
         with _display() as progress:
             found = solve(_hidden(photographs, lights), progress=progress, **options)
@@ -107,7 +107,7 @@ def stereo(
         with complaints.status("writing"), _folder(out) as beside:
             write_files(beside, solved, convention)
             write_report(beside / "report.html", solved, path.absolute().name, {**options, "lights": lights})
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError, ImportError, RuntimeError) as error:
         raise failure(str(error)) from error
     if as_json:
         typer.echo((out / "metrics.json").read_text(encoding="utf-8"), nl=False)
@@ -134,15 +134,15 @@ def _check_paths(path: Path, out: Path, force: bool) -> None:
 
 
 def _solver(lights: str, options: dict[str, Any]) -> Callable:
-    """The solver for what is known of the lights; exits where this version has none, or has no use for an option."""
+    """The solver for what is known of the lights; ValueError where this version has none or it has no such option."""
     import hshjax.stereo
 
     solve = getattr(hshjax.stereo, SOLVERS[lights], None)
     if solve is None:
-        raise failure(f"--lights {lights} needs hshjax.stereo.{SOLVERS[lights]}, which this version does not have")
+        raise ValueError(f"--lights {lights} needs hshjax.stereo.{SOLVERS[lights]}, which this version does not have")
     for name in options:
         if name not in inspect.signature(solve).parameters:
-            raise failure(f"--{name} means nothing with --lights {lights}")
+            raise ValueError(f"--{name} means nothing with --lights {lights}")
     return solve
 
 
@@ -150,6 +150,7 @@ def _hidden(photographs, lights: str):
     """The photographs without what a solver is to find out by itself."""
     import dataclasses
 
+    import jax
     import jax.numpy as jnp
 
     from hshjax.lighting import DirectionalLight
@@ -157,8 +158,8 @@ def _hidden(photographs, lights: str):
     if lights == "unknown":
         return dataclasses.replace(photographs, lights=None)
     if lights == "unknown-intensities" and isinstance(photographs.lights, DirectionalLight):
-        ones = dataclasses.replace(photographs.lights, irradiance=jnp.ones(photographs.count))
-        return dataclasses.replace(photographs, lights=ones)
+        even = jax.vmap(DirectionalLight)(photographs.lights.direction, jnp.ones(photographs.count))
+        return dataclasses.replace(photographs, lights=even)
     return photographs
 
 

@@ -52,7 +52,7 @@ class Solved(NamedTuple):
             **explained,
             "outlier_share": float(np.mean(stereo.outliers)),
             "shadow_share": float(np.mean(stereo.shadows)),
-            "median_deviation_degrees": _finite(np.degrees(np.median(stereo.deviation))),
+            "median_deviation_degrees": _finite(float(np.degrees(np.median(stereo.deviation)))),
             "stages": [{"name": name, "seconds": round(s, 3), **figures} for name, s, figures in stereo.history],
             "notes": list(photographs.notes),
         }
@@ -138,4 +138,4 @@ def _of_known(statistic: Callable, error: np.ndarray | None) -> float | None:
 
 def _finite(value: float) -> float | None:
     """JSON has no other numbers."""
-    return float(value) if math.isfinite(value) else None
+    return value if math.isfinite(value) else None
