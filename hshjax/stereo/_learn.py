@@ -13,7 +13,7 @@ import numpy as np
 
 from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
-from hshjax.stereo._refine import Estimate, predicted, refine
+from hshjax.stereo._refine import Estimate, predicted, refine, robust_refine
 from hshjax.stereo._shading import ShadingTable
 from hshjax.stereo._trust import initial_trust, robust_trust
 
@@ -74,11 +74,8 @@ def learn(
     shared = Shared(guess, jnp.zeros((), pixels.values.dtype), 0.0)
     rows = _rows(columns)
     metric = rows @ rows.T / rows.shape[1]
-    estimate, table = Estimate(pq, jnp.zeros((0, 0)), jnp.zeros(0)), columns.mixed(guess)
-    trust = plain = initial_trust(pixels.values, pixels.known)
-    for _ in range(START):
-        estimate = refine(table, pixels.values, trust, estimate.pq)
-        trust = robust_trust(pixels.values - predicted(table, estimate), plain)
+    plain = initial_trust(pixels.values, pixels.known)
+    estimate, _ = robust_refine(columns.mixed(guess), pixels.values, plain, pq, START, 8)
     for _ in range(rounds):
         table = columns.mixed(shared.coefficients)
         values = pixels.without(shared.stray)
@@ -149,7 +146,7 @@ def shared_equations(
     # Directions that a pixel hardly tells of are not taken for its answer.
     gram = gram + (1e-4 * jnp.diagonal(gram, axis1=1, axis2=2)[..., None] + 1e-6) * unit
     coupling = jnp.concatenate([matmul(weighted, jnp.swapaxes(shared, 1, 2)), matmul(weighted, residual[..., None])], 2)
-    coupling = coupling * free[..., None]
+    coupling = jnp.where(free[..., None], coupling, 0)
     response = jnp.linalg.solve(gram, coupling)
     matrix = jnp.einsum("ngl,nhl->gh", trust[:, None] * shared, shared)
     right = jnp.einsum("ngl,nl->g", shared, trust * residual)
