@@ -12,8 +12,6 @@ from hshjax.cli._stereo_metrics import Solved, directions
 from hshjax.geometry import direction
 from hshjax.io import save_model, write_exr, write_normals, write_ply
 from hshjax.io.normals import Convention
-from hshjax.metrics import albedo
-from hshjax.quadrature import hemisphere_rule
 from hshjax.stereo import Stereo, height_from_normals
 from hshjax.surface import Surface, height_field
 
@@ -41,9 +39,13 @@ def write_files(folder: Path, solved: Solved, convention: Convention) -> None:
 
 
 def albedos(stereo: Stereo) -> np.ndarray:
-    """`(pixels, channels)`: the share of light along the normal that is reflected, up to the scale of photographs."""
-    towards = direction(jnp.zeros(1), jnp.zeros(1))
-    of_materials = np.asarray(albedo(stereo.brdf, towards, hemisphere_rule(64)), np.float32)[0]
+    """`(pixels, channels)`: π ρ for light at 45 degrees and an eye on the normal, up to the scale of photographs.
+
+    Lambert's albedo, and for other materials what colour is measured by: no highlight is in it, and photographs hold
+    such pairs of directions, while an integral over all would extrapolate. Source: CIE 15:2018, geometry 45:0.
+    """
+    wi, wo = direction(jnp.radians(jnp.asarray([45.0, 0.0])), jnp.zeros(2))
+    of_materials = np.pi * np.asarray(stereo.brdf(wi, wo), np.float32)
     return np.einsum("nkc,k->nc", stereo.weights, of_materials)
 
 

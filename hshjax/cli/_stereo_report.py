@@ -57,8 +57,9 @@ def _pictures(solved: Solved) -> list[Picture]:
     return [
         Picture(
             "Normals and albedo",
-            "Red, green and blue: x (right), y (up), z (towards the viewer). Albedo: the share of light along the "
-            "normal that is reflected, up to the scale of the photographs.",
+            "Red, green and blue: x (right), y (up), z (towards the viewer). Albedo: π times the BRDF for light at "
+            "45 degrees and an eye on the normal (CIE's geometry 45:0, without highlights), up to the scale of the "
+            "photographs.",
             pictures.normals(solved),
         ),
         Picture(
