@@ -74,6 +74,8 @@ class Solved(NamedTuple):
             found["prediction error"] = (
                 f"{m['prediction_error']:.2%} of the photographs' RMS, {m['masked_share']:.0%} of values masked"
             )
+        if m["prediction_error_without_shadows"] is not None:
+            found["the same without shadows"] = f"{m['prediction_error_without_shadows']:.2%}"
         found["stray light"] = f"{m['stray']:.2%} of the mean of a photograph"
         found["outliers"] = f"{m['outlier_share']:.1%} of all values, shadows: {m['shadow_share']:.1%}"
         found["time"] = f"{m['seconds']:.1f} s"
