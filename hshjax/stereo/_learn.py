@@ -26,10 +26,10 @@ BEST = 0.5
 START = 4
 """Rounds of outliers before the first step."""
 
-STIFFNESS = 1.0
+STIFFNESS = 3.0
 """Of the prior that keeps materials near their first guess, relative to what the pixels say and their noise: as if each
-had seen that guess once. Between the BRDF and the normals of a smooth object little is determined, and without a prior
-solutions drift for ever."""
+had seen that guess three times. Between the BRDF and the normals of a smooth object little is determined, and without
+a prior solutions drift for ever."""
 
 
 class Shared(NamedTuple):

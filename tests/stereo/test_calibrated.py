@@ -173,7 +173,9 @@ def test_two_photographs_are_refused():
         solve_calibrated(ball(size=12, lights=2))
 
 
-@pytest.mark.parametrize("argument", [{"materials": 0}, {"materials": 9}, {"pixels": 0}, {"rounds": -1}, {"sweeps": -1}])
+@pytest.mark.parametrize(
+    "argument", [{"materials": 0}, {"materials": 9}, {"pixels": 0}, {"rounds": -1}, {"sweeps": -1}]
+)
 def test_arguments_out_of_range_are_refused(argument):
     (name,) = argument
     with pytest.raises(ValueError, match=name):

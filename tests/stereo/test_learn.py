@@ -25,7 +25,9 @@ def test_the_schur_complement_eliminates_what_belongs_to_pixels():
     trust = jnp.asarray(rng.uniform(0.3, 1, (3, 8)), jnp.float32)
     stray = jnp.asarray(rng.uniform(0.5, 1, (3, 8)), jnp.float32)
     values = jnp.asarray(rng.uniform(0.1, 0.4, (3, 8)), jnp.float32)
-    matrix, right = shared_equations(table, coefficients, values, trust, Estimate(pq, weights, jnp.zeros(3, jnp.float32)), stray)
+    matrix, right = shared_equations(
+        table, coefficients, values, trust, Estimate(pq, weights, jnp.zeros(3, jnp.float32)), stray
+    )
 
     def model(coefficients, share, weights, pq):
         mixed = table.mixed(coefficients)
