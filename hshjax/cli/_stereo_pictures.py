@@ -117,7 +117,14 @@ def lights(solved: Solved, given: Any) -> bytes:
         there = directions(given)
         axis.plot(*np.stack([there, found], axis=1)[..., :2].T.reshape(2, 2, -1), color="0.4", lw=0.8)
         axis.scatter(*there[:, :2].T, s=34, facecolors="none", edgecolors=plotting.COLOURS[1], label="given")
-    dots = axis.scatter(*found[:, :2].T, s=14, c=intensity / intensity.mean(), cmap="viridis", label="used" if given is None else "found", zorder=3)
+    dots = axis.scatter(
+        *found[:, :2].T,
+        s=14,
+        c=intensity / intensity.mean(),
+        cmap="viridis",
+        label="used" if given is None else "found",
+        zorder=3,
+    )
     if given is not None:
         axis.legend(fontsize=8, loc="upper left", frameon=False)
     bar = figure.colorbar(dots, ax=axis, fraction=0.045, pad=0.02)
