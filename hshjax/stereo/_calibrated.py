@@ -61,7 +61,8 @@ def solve_calibrated(
     with history.stage("learn", rounds) as done:
         table = shading_table(column_brdfs(columns), observations.directions)
         guess = coefficients_of(table, shading_table(first_guess(materials), observations.directions))
-        chosen = np.sort(np.random.default_rng(seed).permutation(photographs.pixels)[:pixels])
+        # A pixel of which nothing is known leaves no residual, and would count among those that fit best.
+        chosen = np.sort(np.random.default_rng(seed).permutation(np.flatnonzero(observations.seen))[:pixels])
         shared = learn(
             table, guess, observations.pixels(chosen), jnp.asarray(pq[chosen]), rounds=rounds, stray=stray, done=done
         )
