@@ -75,13 +75,21 @@ def stereo(
 ) -> None:
     """Find normals, materials and heights in photographs under many lights.
 
-    The folder gets report.html (look at this one), metrics.json, normals and albedo (.exr, .png), heights.exr,
-    mesh.ply, model.hshjax (a channel for each material: try `hshjax info` on it), weights.npz, lights.lp and
-    light_intensities.txt. Nothing is written before all is done.
+    The folder --out gets, when all is done:
 
-    Example:  hshjax stereo ballPNG --out ball --materials 1
+    - report.html: look at this one first. metrics.json: its figures.
 
-    What each of them holds, and what photographs do not determine, is in docs/photometric_stereo.md.
+    - normals and albedo (.exr, .png), heights.exr, mesh.ply.
+
+    - model.hshjax: a BRDF for each material, see `hshjax info`.
+
+    - weights.npz: of materials, pixel by pixel. lights.lp and light_intensities.txt.
+
+    Example:  hshjax stereo ballPNG --out ball
+
+    Without lights:  hshjax stereo ballPNG --lights unknown --out ball2
+
+    More is in docs/photometric_stereo.md.
     """
     from hshjax.cli._stereo_files import write_files
     from hshjax.cli._stereo_metrics import Solved
@@ -169,7 +177,7 @@ def _folder(out: Path) -> Iterator[Path]:
 
     Where `out` has files, those of the same names are replaced, one by one.
     """
-    out = out.absolute()
+    out = out.resolve()
     beside = out.with_name(f".{out.name}.{secrets.token_hex(6)}.partial")
     beside.mkdir()
     try:
