@@ -5,3 +5,4 @@ from hshjax.stereo._height import depth_from_normals as depth_from_normals, heig
 from hshjax.stereo._history import Stage as Stage
 from hshjax.stereo._result import Stereo as Stereo, angular_errors as angular_errors
 from hshjax.stereo._semi_calibrated import solve_semi_calibrated as solve_semi_calibrated
+from hshjax.stereo._uncalibrated import solve_uncalibrated as solve_uncalibrated

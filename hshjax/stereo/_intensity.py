@@ -15,8 +15,9 @@ from hshjax.stereo._learn import Pixels
 OF_PIXEL = 0.9
 """Quantile over lights that stands for a pixel: what it shows of the lights that it faces."""
 
-OF_LIGHT = 0.85
-"""Quantile over pixels, relative to them, that stands for a light: those that face it."""
+OF_LIGHT = 0.75
+"""Quantile over pixels, relative to them, that stands for a light: those that face it. Higher ones favour lights that
+many pixels face; of 0.85, intensities of lights near the camera came out too high by half (`docs/decisions.md`)."""
 
 LIT = 0.3
 """What a light must make of a pixel, relative to its brightness, for the pixel to tell of it."""

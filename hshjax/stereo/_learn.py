@@ -87,8 +87,7 @@ def learn(
     """
     dtype = pixels.values.dtype
     shared = Shared(guess, jnp.zeros((), dtype), 0.0, jnp.zeros(pixels.values.shape[1], dtype))
-    rows = _rows(columns)
-    metric = rows @ rows.T / rows.shape[1]
+    metric = squares(columns)
     estimate, table = Estimate(pq, jnp.zeros((0, 0)), jnp.zeros(0)), columns.mixed(guess)
     trust = plain = initial_trust(pixels.values, pixels.known)
     for _ in range(START):
@@ -214,6 +213,12 @@ def coefficients_of(
     gram = rows @ rows.T
     gram += ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
     return jnp.asarray(np.linalg.solve(gram, rows @ wanted.T).T, columns.values.dtype)
+
+
+def squares(columns: ShadingTable) -> Float[np.ndarray, "columns columns"]:
+    """Mean products of columns over all nodes and lights of their table."""
+    rows = _rows(columns)
+    return rows @ rows.T / rows.shape[1]
 
 
 def _rows(table: ShadingTable) -> np.ndarray:
