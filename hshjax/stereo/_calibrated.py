@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax.photographs import Photographs
-from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess
+from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess, positive_columns
 from hshjax.stereo._history import History, Progress
+from hshjax.stereo._intensity import band_gains, brighter, single_gains
 from hshjax.stereo._learn import coefficients_of, learn
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import FAR, neighbours
@@ -27,6 +28,7 @@ def solve_calibrated(
     sweeps: int = 8,
     smoothness: float = 7.0,
     stray: bool = True,
+    gains: float = 0.0,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Stereo:
@@ -43,6 +45,8 @@ def solve_calibrated(
     - `sweeps`: of handing on, 0 for none. - `smoothness`: how much agreement with neighbours counts in it, in units of
       the noise that is found: the worse photographs are explained, the more.
     - `stray`: whether light that strays (a share of the mean of each photograph) is found and taken off.
+    - `gains`: how wrong the irradiance of lights may be, a standard deviation of logarithms: 0 for right as it is, 0.3
+      where little is known of it, see `learn`.
     - `seed`: of the choice of pixels. - `progress`: called with a stage, what is done and what there is to do.
 
     **Raises:** ValueError for photographs that do not determine normals (`Observations`), and for other arguments out
@@ -50,23 +54,36 @@ def solve_calibrated(
     """
     if not 1 <= materials <= LIMIT:
         raise ValueError(f"materials must be 1 to {LIMIT}, got {materials}")
-    for name, value, least in (("pixels", pixels, 1), ("rounds", rounds, 0), ("sweeps", sweeps, 0)):
+    for name, value, least in (
+        ("pixels", pixels, 1),
+        ("rounds", rounds, 0),
+        ("sweeps", sweeps, 0),
+        ("gains", gains, 0),
+    ):
         if value < least:
             raise ValueError(f"{name} must be at least {least}, got {value}")
     columns = default_columns() if columns is None else columns
     observations, history = Observations(photographs), History(progress)
     steps = observations.steps
+    # A pixel of which nothing is known leaves no residual, and would count among those that fit best.
+    chosen = np.sort(np.random.default_rng(seed).permutation(np.flatnonzero(observations.seen))[:pixels])
     with history.stage("start", steps) as done:
+        if gains > 0:
+            some = observations.pixels(chosen)
+            single = single_gains(band_gains(some, observations.directions), np.asarray(observations.directions))
+            observations = Observations(brighter(photographs, np.exp(single)))
+            done.figures["single"] = float(np.sum(single != 0))
         pq = start(observations, done)
     with history.stage("learn", rounds) as done:
         table = shading_table(column_brdfs(columns), observations.directions)
         guess = coefficients_of(table, shading_table(first_guess(materials), observations.directions))
-        # A pixel of which nothing is known leaves no residual, and would count among those that fit best.
-        chosen = np.sort(np.random.default_rng(seed).permutation(np.flatnonzero(observations.seen))[:pixels])
         shared = learn(
-            table, guess, observations.pixels(chosen), jnp.asarray(pq[chosen]), rounds=rounds, stray=stray, done=done
-        )
+            table, guess, observations.pixels(chosen), jnp.asarray(pq[chosen]),
+            positive=positive_columns(columns), rounds=rounds, stray=stray, gains=gains, done=done,
+        )  # fmt: skip
         done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
+    if gains > 0:
+        observations = Observations(brighter(observations.photographs, np.exp(np.asarray(shared.gains))))
     mixed = table.mixed(shared.coefficients)
     with history.stage("normals", steps) as done:
         pq = refine_all(observations, mixed, shared, pq, 4, 8, done)

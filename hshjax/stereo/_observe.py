@@ -24,6 +24,7 @@ PLANE = 1e-3
 class Observations:
     """Grey values of photographs under known lights far away, tile by tile.
 
+    - `directed`: False where directions of lights stand for nothing.
     - `lights`; their `directions` `(lights, 3)`: unit, float32. - `brightness` `(pixels, 1)`.
     - `seen` `(pixels,)`: whether any value above 0 is known.
     - `mean` `(lights, channels)`: radiance of unit irradiance, of all pixels where it is known.
@@ -32,9 +33,9 @@ class Observations:
     directions that span no space, and photographs of which nothing is known.
     """
 
-    def __init__(self, photographs: Photographs):
+    def __init__(self, photographs: Photographs, *, directed: bool = True):
         self.photographs = photographs
-        self.lights, directions, self._irradiance = _lights(photographs)
+        self.lights, directions, self._irradiance = _lights(photographs, directed)
         self.directions = jnp.asarray(directions, jnp.float32)
         count = photographs.pixels
         self.brightness = np.empty((count, 1), np.float32)
@@ -93,7 +94,7 @@ def grey(values: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*ba
     return values @ np.asarray(LUMA if channels == 3 else [1 / channels] * channels, np.float32)
 
 
-def _lights(photographs: Photographs) -> tuple[DirectionalLight, np.ndarray, np.ndarray]:
+def _lights(photographs: Photographs, directed: bool) -> tuple[DirectionalLight, np.ndarray, np.ndarray]:
     """The lights, unit directions `(lights, 3)` and irradiance `(lights, 1 or channels)`, float32."""
     lights = photographs.lights
     if not isinstance(lights, DirectionalLight):
@@ -108,7 +109,7 @@ def _lights(photographs: Photographs) -> tuple[DirectionalLight, np.ndarray, np.
     if not np.all(np.isfinite(length) & (length > 0)):
         raise ValueError("directions of lights must be finite and not zero")
     directions = directions / length
-    if np.linalg.svd(directions, compute_uv=False)[-1] < PLANE:
+    if directed and np.linalg.svd(directions, compute_uv=False)[-1] < PLANE:
         raise ValueError("the directions of the lights lie in a plane: normals are not determined")
     irradiance = np.asarray(lights.irradiance, np.float32).reshape(photographs.count, -1)
     if not np.all(np.isfinite(irradiance) & (irradiance > 0)):

@@ -1,0 +1,62 @@
+"""The contour of an object: where its surface turns away from the camera, normals point out of the mask."""
+
+import numpy as np
+
+from hshjax._typing import Bool, Float, Int
+
+BLUR = 2.0
+"""Of the mask, in pixels, whose slope is the outward direction."""
+
+TILT = 0.15
+"""n_z that normals of the contour have on average: its pixels lie inside of it."""
+
+FACING = 0.3
+"""How much the mean normal's towards the camera counts, against all of the contour."""
+
+ROUNDS = 30
+
+LEAST = 16
+"""Pixels of a contour."""
+
+
+def contour(mask: Bool[np.ndarray, "rows columns"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """Numbers of the pixels at the contour, and unit directions out of the mask (x right, y up).
+
+    Pixels at the border of the photographs are none of it: the object goes on there.
+
+    **Raises:** ValueError where fewer than `LEAST` are left.
+    """
+    from scipy import ndimage
+
+    wide = int(4 * BLUR)
+    blurred = ndimage.gaussian_filter(np.pad(mask, wide).astype(float), BLUR)
+    down, right = (slope[wide:-wide, wide:-wide] for slope in np.gradient(blurred))
+    edge = mask & ~ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1)
+    edge[[0, -1]] = edge[:, [0, -1]] = False
+    number = np.cumsum(mask.ravel()).reshape(mask.shape) - 1
+    outward = np.stack([-right[edge], down[edge]], axis=1)
+    length = np.linalg.norm(outward, axis=1)
+    there = length > 0  # 0 where the mask is as wide on both sides
+    if np.sum(there) < LEAST:
+        raise ValueError(
+            f"the contour of the mask has {np.sum(there)} pixels inside of the photographs, expected at least {LEAST}: "
+            "without it unknown lights are not determined"
+        )
+    return number[edge][there], outward[there] / length[there, None]
+
+
+def turn(normals: Float[np.ndarray, "pixels 3"], mask: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray, "3 3"]:
+    """The orthogonal matrix, with or without a reflection, that makes normals look out of the mask at its contour, and
+    towards the camera on average. By sums of distances, not of their squares: not all of a contour is one."""
+    pixels, outward = contour(mask)
+    wanted = np.concatenate([np.sqrt(1 - TILT**2) * outward, np.full((len(pixels), 1), TILT)], axis=1)
+    mean = np.mean(normals, axis=0)
+    facing = FACING * np.outer(mean / np.linalg.norm(mean), [0, 0, 1])
+    weight, found = np.ones(len(pixels)), np.eye(3)
+    for _ in range(ROUNDS):
+        moment = (weight[:, None] * normals[pixels]).T @ wanted / np.sum(weight) + facing
+        left, _, right = np.linalg.svd(moment)
+        found = (left @ right).T
+        distance = np.linalg.norm(normals[pixels] @ found.T - wanted, axis=1)
+        weight = 1 / np.maximum(distance, 0.05)
+    return found

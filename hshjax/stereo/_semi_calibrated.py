@@ -1,0 +1,64 @@
+"""Normals, reflectance and intensities under lights of known directions."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax.lighting import DirectionalLight
+from hshjax.photographs import Photographs
+from hshjax.stereo._calibrated import solve_calibrated
+from hshjax.stereo._intensity import band_gains, brighter, diffuse_maxima, light_colours
+from hshjax.stereo._observe import Observations, grey
+from hshjax.stereo._result import Stereo
+
+SOME = 5000
+"""Pixels that intensities are begun from."""
+
+
+def solve_semi_calibrated(photographs: Photographs, *, gains: float = 0.3, seed: int = 0, **options: Any) -> Stereo:
+    """Normals, reflectance and intensities from photographs under lights far away whose directions alone are known.
+
+    The irradiance of `photographs.lights` is not looked at. Intensities begin as what lights make of the pixels that
+    face them (`diffuse_maxima`), then as what Lambert's law on middle ranks leaves (`band_gains`); they are learned
+    with the BRDF, see `solve_calibrated`, whose `options` are these. Those of channels are medians of what channels
+    have of grey.
+
+    - `lights` of the result: irradiance `(channels,)` each. The whole has no scale, and the channels none between
+      them: geometric means over lights are 1. So the colour of the light is white on average, and weights of materials
+      hold the rest.
+    - `gains`: standard deviation of logarithms of intensities about their beginning.
+
+    **Raises:** ValueError as `solve_calibrated`, and for photographs that are black.
+    """
+    if gains <= 0:
+        raise ValueError(f"gains must be above 0, got {gains}: where irradiance is known, take solve_calibrated")
+    return solve_calibrated(with_intensities(photographs, seed), gains=gains, seed=seed, **options)
+
+
+def with_intensities(photographs: Photographs, seed: int) -> Photographs:
+    """The same under lights of the same directions, of irradiance as a start has it."""
+    lights = photographs.lights
+    if not isinstance(lights, DirectionalLight):
+        kind = "none" if lights is None else type(lights).__name__
+        raise ValueError(f"photographs need lights of known directions (DirectionalLight), got {kind}")
+    some = np.sort(np.random.default_rng([seed, 1]).permutation(photographs.pixels)[:SOME])
+    photographs = under(photographs, np.asarray(lights.direction), intensities(photographs, some))
+    observations = Observations(photographs)
+    gains = band_gains(observations.pixels(some), observations.directions)
+    return brighter(photographs, np.exp(gains))
+
+
+def intensities(photographs: Photographs, some: np.ndarray) -> np.ndarray:
+    """Irradiance of lights `(lights, channels)`, whatever their directions, of what some pixels show."""
+    values = np.asarray(photographs.values[some], np.float32)
+    colours = light_colours(values)
+    return colours * diffuse_maxima(grey(values / colours.astype(np.float32)))[:, None]
+
+
+def under(photographs: Photographs, directions: np.ndarray, irradiance: np.ndarray) -> Photographs:
+    """The same under lights of these directions `(lights, 3)` and irradiance `(lights, channels)`."""
+    lights = jax.vmap(DirectionalLight)(jnp.asarray(directions, jnp.float32), jnp.asarray(irradiance, jnp.float32))
+    return replace(photographs, lights=lights)
