@@ -88,11 +88,7 @@ def learn(
     dtype = pixels.values.dtype
     shared = Shared(guess, jnp.zeros((), dtype), 0.0, jnp.zeros(pixels.values.shape[1], dtype))
     metric = squares(columns)
-    estimate, table = Estimate(pq, jnp.zeros((0, 0)), jnp.zeros(0)), columns.mixed(guess)
-    trust = plain = initial_trust(pixels.values, pixels.known)
-    for _ in range(START):
-        estimate = refine(table, pixels.values, trust, estimate.pq)
-        trust = robust_trust(pixels.values - predicted(table, estimate), plain)
+    estimate = begin(columns.mixed(guess), pixels, pq)
     for _ in range(rounds):
         table, given = columns.mixed(shared.coefficients), pixels.under(shared.gains)
         values, shades = given.without(shared.stray), predicted(table, estimate)
@@ -110,6 +106,16 @@ def learn(
         estimate = refine(table, values, trust, estimate.pq)
         done()
     return shared
+
+
+def begin(table: ShadingTable, pixels: Pixels, pq: Float[Array, "n 2"]) -> Estimate:
+    """Normals before the first step: rounds of refinement, outliers left out from the second on."""
+    plain = initial_trust(pixels.values, pixels.known)
+    estimate = refine(table, pixels.values, plain, pq)
+    for _ in range(START - 1):
+        trust = robust_trust(pixels.values - predicted(table, estimate), plain)
+        estimate = refine(table, pixels.values, trust, estimate.pq)
+    return estimate
 
 
 def learning_weight(

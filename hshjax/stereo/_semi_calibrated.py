@@ -10,7 +10,7 @@ import numpy as np
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import Photographs
 from hshjax.stereo._calibrated import solve_calibrated
-from hshjax.stereo._intensity import band_gains, brighter, diffuse_maxima, light_colours
+from hshjax.stereo._intensity import band_gains, diffuse_maxima, light_colours
 from hshjax.stereo._observe import Observations, grey
 from hshjax.stereo._result import Stereo
 
@@ -18,9 +18,7 @@ SOME = 5000
 """Pixels that intensities are begun from."""
 
 
-def solve_semi_calibrated(
-    photographs: Photographs, *, gains: float = 0.3, seed: int = 0, **options: Any
-) -> Stereo:
+def solve_semi_calibrated(photographs: Photographs, *, gains: float = 0.3, seed: int = 0, **options: Any) -> Stereo:
     """Normals, reflectance and intensities from photographs under lights far away whose directions alone are known.
 
     The irradiance of `photographs.lights` is not looked at. Intensities begin as what lights make of the pixels that
@@ -50,12 +48,20 @@ def with_intensities(photographs: Photographs, seed: int) -> Photographs:
     photographs = under(photographs, np.asarray(lights.direction), intensities(photographs, some))
     observations = Observations(photographs)
     gains = band_gains(observations.pixels(some), observations.directions)
-    return brighter(photographs, np.exp(gains))
+    return observations.brighter(np.exp(gains)).photographs
 
 
 def intensities(photographs: Photographs, some: np.ndarray) -> np.ndarray:
-    """Irradiance of lights `(lights, channels)`, whatever their directions, of what some pixels show."""
+    """Irradiance of lights `(lights, channels)`, whatever their directions, of what some pixels show.
+
+    **Raises:** ValueError for photographs that are black, in which no channel of one of these pixels is above 0.
+    """
     values = np.asarray(photographs.values[some], np.float32)
+    shown = values > 0  # false of NaN
+    black = ~np.all(np.any(shown, axis=0), axis=1)
+    if np.any(black):
+        raise ValueError(f"photographs {(np.flatnonzero(black) + 1).tolist()} are black: leave them out")
+    values = values[np.all(np.any(shown, axis=1), axis=1)]
     colours = light_colours(values)
     return colours * diffuse_maxima(grey(values / colours.astype(np.float32)))[:, None]
 

@@ -19,9 +19,17 @@ from hshjax.reflectance import reflect
 from hshjax.stereo._chart import from_chart
 from hshjax.stereo._columns import Column, column_brdfs, combined, first_guess
 from hshjax.stereo._learn import (
-    START, Pixels, Shared, coefficients_of, keep_materials, learning_weight, moved, shared_equations, squares,
+    Pixels,
+    Shared,
+    begin,
+    coefficients_of,
+    keep_materials,
+    learning_weight,
+    moved,
+    shared_equations,
+    squares,
 )  # fmt: skip
-from hshjax.stereo._refine import Estimate, predicted, refine
+from hshjax.stereo._refine import predicted, refine
 from hshjax.stereo._shading import shading_table
 from hshjax.stereo._system import System
 from hshjax.stereo._trust import initial_trust, robust_trust
@@ -32,7 +40,7 @@ SIZE = 65
 LONGEST_TURN = 0.08
 """Of a step [radians]."""
 
-SINGLE = 1e3
+SINGLE = 1e2
 """Of the prior on what turns and gains are beside a linear map of all lights: as if that many values, with the noise
 that is found, had told of each light's. The rank of the photographs tells it well from the start."""
 
@@ -66,11 +74,7 @@ def turned_lights(
     guess = coefficients_of(table, shading_table(first_guess(materials), jnp.asarray(directions, dtype), SIZE))
     metric = squares(table)
     shared = Shared(guess, jnp.zeros((), dtype), 0.0, jnp.zeros(len(directions), dtype))
-    trust = plain = initial_trust(pixels.values, pixels.known)
-    estimate = Estimate(pq, jnp.zeros((0, 0)), jnp.zeros(0))
-    for _ in range(START):
-        estimate = refine(table.mixed(guess), pixels.values, trust, estimate.pq)
-        trust = robust_trust(pixels.values - predicted(table.mixed(guess), estimate), plain)
+    estimate = begin(table.mixed(guess), pixels, pq)
     for _ in range(rounds):
         given = pixels.under(shared.gains)
         values, shades = given.without(shared.stray), predicted(table.mixed(shared.coefficients), estimate)
