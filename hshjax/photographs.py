@@ -17,7 +17,7 @@ class Photographs(eqx.Module):
     - `values` `(pixels, lights, channels)`: radiance in some unit, linear in light, of the pixels of the mask row by
       row. NaN says that nothing is known: a saturated value, a broken pixel. May be mapped from a file.
     - `mask` `(rows, columns)`, bool: which pixels see the object.
-    - `lights`: one kind of light whose leaves have a leading axis, `jax.vmap(DirectionalLight)(directions, irradiance)`,
+    - `lights`: one kind of light whose leaves have a leading axis, as of `jax.vmap(DirectionalLight)(directions, e)`,
       in the world of the camera. None where nothing is known of them.
     - `camera`: None for one far away, in whose world x is right, y up and z TOWARDS it.
     - `truth` `(pixels, 3)`: unit normals known otherwise, for comparison only; None, or NaN where they are not.

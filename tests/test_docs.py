@@ -22,12 +22,13 @@ RUN = [
             "fit_parameters",
             "light_a_surface",
             "photographs",
+            "photometric_stereo",
             "use_as_a_layer",
         )
     ),
 ]
 
-LONG = ("fit_by_gradients", "fit_parameters", "light_a_surface")
+LONG = ("fit_by_gradients", "fit_parameters", "light_a_surface", "photometric_stereo")
 """They compile whole fits or images, in a process of their own."""
 
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -23,7 +23,8 @@ CELLS = (24, 10, 5)
 
 
 class Trial(NamedTuple):
-    """One choice of `infer_compact`: scale of the warp, dark level [sr^-1], deviations, and what speaks for it.
+    """One choice of `infer_compact`: scale of the warp, dark level [sr^-1], number of functions, deviations, and what
+    speaks for it.
 
     - `deviation`: of the prior. - `noise`: of ln ρ where it is bright.
     - `evidence`: ln of the probability density of all samples, coefficients integrated out.
@@ -32,6 +33,7 @@ class Trial(NamedTuple):
 
     alpha: float
     dark: float
+    functions: int
     deviation: float
     noise: float
     evidence: float

@@ -1,6 +1,7 @@
 """Compact models from few, scattered and noisy samples: what is not seen is left to a prior, and all is weighed."""
 
 from collections.abc import Sequence
+from typing import Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -51,8 +52,16 @@ def prior_deviations(modes: Sequence[Mode]) -> np.ndarray:
     return np.array([WIDE.get(mode, 1.0) for mode in modes]) / (1 + cost) ** 2
 
 
+Criterion = Literal["evidence", "leave-one-out"]
+
+
 def infer_compact(
-    samples: Samples, functions: int = 150, *, alphas: Sequence[float] | None = None, noise: float | None = None
+    samples: Samples,
+    functions: int | Sequence[int] = 150,
+    *,
+    alphas: Sequence[float] | None = None,
+    noise: float | None = None,
+    criterion: Criterion = "evidence",
 ) -> CompactPosterior:
     """A compact model of an isotropic material from few, scattered and noisy samples, with error bars.
 
@@ -61,10 +70,11 @@ def infer_compact(
     deviation σ sqrt(ρ² + dark²). The posterior is Gaussian, about a linearisation at its mean. Samples in another unit
     give the same model in that unit: what is small is so beside the median of a channel.
 
-    What is chosen, and by what: the scale α of the warp, `dark`, s and σ, common to all channels, by the largest
-    evidence. Leave-one-out chooses nothing: its density is reported, and deviations are scaled such that samples left
-    out are covered as often as they should be (`CompactPosterior.factor`). The order is not chosen: the prior stands
-    for it, under which higher functions are smaller.
+    What is chosen, and by what: s and σ by the largest evidence; the scale α of the warp, `dark` and, where several are
+    given, the number of functions by evidence as well, or by the density of samples that are left out (cross-validation
+    in closed form). All are common to the channels. With one number of functions the prior stands for the order: higher
+    functions are smaller under it. Deviations are scaled such that samples left out are covered as often as they should
+    be (`CompactPosterior.factor`).
 
     What was not sampled: α is at least a tenth of the smallest 1 - cos θ_h among the samples, so that no highlight is
     invented; ln ρ is held within a factor of two of the samples' range; deviations grow towards those of the prior,
@@ -74,19 +84,21 @@ def infer_compact(
 
     - `samples`: [sr^-1, no cosine], any channels, 20 at least. Weights count as relative precision; 0 masks. Values
       may be negative, but no channel without one above 0.
-    - `functions`: of the basis, in every channel. More than samples is no harm: the prior decides. Time grows with
-      their square and more.
+    - `functions`: of the basis, in every channel; several numbers are tried, the scales with the largest of them. More
+      than samples is no harm: the prior decides. Time grows with their square and more.
     - `alphas`: scales to try; 13 from 1e-6 to 1 by default.
     - `noise`: standard deviation of the samples relative to ρ, where it is known. What the samples scatter beyond it
       counts as a misfit of the surface; without it, all does, and error bars of the surface never become smaller than
       the scatter of the samples.
+    - `criterion`: "evidence" or "leave-one-out".
 
     Found on the host in float64; not under `jax.jit`. Energy is not constrained: see `hshjax.albedo`.
 
     **Returns:** a `CompactPosterior`.
 
     **Raises:** ValueError, naming the count, for fewer than 20 samples; for samples that are not finite, not of unit
-    length or below the horizon; for a channel with no value above 0; for scales or a noise that are not positive.
+    length or below the horizon; for a channel with no value above 0; for scales, a noise or numbers of functions that
+    are not positive, and for another criterion.
 
     Source: MacKay, Bayesian Interpolation, Neural Computation 4(3), 1992; Rocke and Durbin, A model for measurement
     error for gene expression arrays, Journal of Computational Biology 8(6), 2001 (the noise).
@@ -96,20 +108,26 @@ def infer_compact(
     usable, _ = check_samples(samples, named_norm("C"), 1, ridged=True)
     if usable < LEAST:
         raise ValueError(f"{usable} samples with a positive weight are too few for error bars, {LEAST} are needed")
-    with jax.enable_x64(True), suited_threads(functions):
-        search = _Search(samples, functions, ALPHAS if alphas is None else alphas)
+    if criterion not in get_args(Criterion):
+        raise ValueError(f"criterion must be one of {', '.join(get_args(Criterion))}, got {criterion!r}")
+    sizes = sorted({functions} if isinstance(functions, int) else set(functions))
+    if not sizes or sizes[0] < 1:
+        raise ValueError(f"functions must be one positive number or several, got {functions}")
+    with jax.enable_x64(True), suited_threads(sizes[-1]):
+        search = _Search(samples, sizes, ALPHAS if alphas is None else alphas, criterion)
         trial, parts, offset = search.found()
+    modes, deviations = search.modes[: trial.functions], search.deviations[: trial.functions]
     # The model has the caller's default float, or a caller without float64 cannot load it again.
-    basis = HalfVectorBasis(search.modes, LogWarp(jnp.asarray(trial.alpha)))
+    basis = HalfVectorBasis(modes, LogWarp(jnp.asarray(trial.alpha)))
     channels = len(parts)
-    coefficients = np.stack([search.deviations * part.mean for part in parts])
+    coefficients = np.stack([deviations * part.mean for part in parts])
     coefficients[:, 0] += offset
-    terms = leading_terms([len(search.modes)] * channels)
+    terms = leading_terms([len(modes)] * channels)
     bounds = (jnp.asarray(part) for part in (search.low, search.high))
     model = LogLinearBRDF(
         basis, jnp.asarray(coefficients.ravel()), jnp.eye(channels), *bounds, terms=jnp.asarray(terms)
     )
-    roots = jnp.asarray(np.stack([search.deviations[:, None] * part.root for part in parts]))
+    roots = jnp.asarray(np.stack([deviations[:, None] * part.root for part in parts]))
     scores = jnp.asarray(np.stack([part.scores for part in parts], axis=1))
     misfit = np.sqrt(max(trial.noise**2 - (noise or 0.0) ** 2, 0.0))
     return CompactPosterior(
@@ -118,15 +136,17 @@ def infer_compact(
 
 
 class _Search:
-    """Hyperparameters of one material, by coordinates: α, then the dark level, then neighbours. Host arrays."""
+    """Hyperparameters of one material, by coordinates: α, then the dark level, then neighbours, then the number of
+    functions. Host arrays."""
 
-    def __init__(self, samples: Samples, functions: int, alphas: Sequence[float]):
+    def __init__(self, samples: Samples, sizes: Sequence[int], alphas: Sequence[float], criterion: Criterion):
+        self.sizes, self.criterion = sizes, criterion
         used = np.asarray(samples.weight) > 0
         parts = (samples.wi, samples.wo, samples.weight, samples.value)
         self.wi, self.wo, weight, self.value = (np.asarray(part, np.float64)[used] for part in parts)
         typical = _typical(self.value)
         self.weight = (weight / weight.mean())[:, None]
-        self.modes = total_order(functions)
+        self.modes = total_order(sizes[-1])  # of fewer functions, a prefix
         self.deviations = prior_deviations(self.modes)
         # What is not above 0 counts as the least that is: noise, not a surface of another order of magnitude.
         positive = np.where(self.value > 0, self.value, np.inf).min(axis=0)
@@ -137,7 +157,7 @@ class _Search:
         least, most = DARKS[0] * typical.min(), DARKS[1] * typical.max()
         self.darks = np.geomspace(least, most, 1 + int(np.ceil(2 * np.log10(most / least)))).tolist()
         self.designs: dict[float, np.ndarray] = {}
-        self.trials: dict[tuple[float, float], Trial] = {}
+        self.trials: dict[tuple[float, float, int], Trial] = {}
         self.logarithm = bright
 
     def _resolved(self, alphas: Sequence[float]) -> tuple[float, ...]:
@@ -155,12 +175,13 @@ class _Search:
             self.designs[alpha] = np.asarray(basis(jnp.asarray(self.wi), jnp.asarray(self.wo))) * self.deviations
         return self.designs[alpha]
 
-    def _try(self, alpha: float, dark: float) -> tuple[list[Posterior], np.ndarray]:
+    def _try(self, alpha: float, dark: float, functions: int | None = None) -> tuple[list[Posterior], np.ndarray]:
         """Posteriors of the channels and the means of their samples, about the last ln ρ, which they replace."""
         response, weight = linearised(self.value, self.logarithm, dark)
         weight = weight * self.weight
         offset = np.sum(weight * response, axis=0) / np.sum(weight, axis=0)
-        design, roots = self._design(alpha), np.sqrt(weight)
+        functions = functions or self.sizes[-1]
+        design, roots = self._design(alpha)[:, :functions], np.sqrt(weight)
         spectra = [
             spectrum(root[:, None] * design, root * target)
             for root, target in zip(roots.T, (response - offset).T, strict=True)
@@ -172,8 +193,8 @@ class _Search:
         # In densities of ρ: those of responses times their derivative, which the weights cancel but for this.
         density = log_density(self.value, dark) + self.value.shape[1] * np.sum(np.log(self.weight)) / 2
         predictive = sum(-np.sum(part.scores**2 + np.log(2 * np.pi * part.variances)) / 2 for part in parts)
-        self.trials[alpha, dark] = Trial(
-            alpha, dark, float(np.sqrt(ratio * variance)), float(np.sqrt(variance)),
+        self.trials[alpha, dark, functions] = Trial(
+            alpha, dark, functions, float(np.sqrt(ratio * variance)), float(np.sqrt(variance)),
             float(known[best] + density), float(predictive + density),
         )  # fmt: skip
         means = np.stack([part.mean for part in parts], axis=1)
@@ -195,13 +216,17 @@ class _Search:
             for alpha in self.alphas[max(place - 1, 0) : place + 2]:
                 self._try(alpha, best.dark)
         best = self._best()
+        for functions in self.sizes[:-1]:
+            self._try(best.alpha, best.dark, functions)
+        best = self._best()
         for _ in range(ROUNDS - 1):
-            self._try(best.alpha, best.dark)
-        parts, offset = self._try(best.alpha, best.dark)
-        return self.trials[best.alpha, best.dark], parts, offset
+            self._try(best.alpha, best.dark, best.functions)
+        parts, offset = self._try(best.alpha, best.dark, best.functions)
+        return self.trials[best.alpha, best.dark, best.functions], parts, offset
 
     def _best(self) -> Trial:
-        return max(self.trials.values(), key=lambda trial: trial.evidence)
+        speaks = {"evidence": lambda trial: trial.evidence, "leave-one-out": lambda trial: trial.predictive}
+        return max(self.trials.values(), key=speaks[self.criterion])
 
 
 def _typical(value: np.ndarray) -> np.ndarray:

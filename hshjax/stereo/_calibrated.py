@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax.photographs import Photographs
-from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess
+from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess, positive_columns
 from hshjax.stereo._history import History, Progress
 from hshjax.stereo._intensity import band_gains, single_gains
 from hshjax.stereo._learn import coefficients_of, learn
@@ -62,7 +62,8 @@ def solve_calibrated(
     columns = default_columns() if columns is None else columns
     observations, history = Observations(photographs), History(progress)
     steps = observations.steps
-    chosen = np.sort(np.random.default_rng(seed).permutation(photographs.pixels)[:pixels])
+    # A pixel of which nothing is known leaves no residual, and would count among those that fit best.
+    chosen = np.sort(np.random.default_rng(seed).permutation(np.flatnonzero(observations.seen))[:pixels])
     with history.stage("start", steps) as done:
         if gains > 0:
             some = observations.pixels(chosen)
@@ -75,7 +76,7 @@ def solve_calibrated(
         guess = coefficients_of(table, shading_table(first_guess(materials), observations.directions))
         shared = learn(
             table, guess, observations.pixels(chosen), jnp.asarray(pq[chosen]),
-            rounds=rounds, stray=stray, gains=gains, done=done,
+            positive=positive_columns(columns), rounds=rounds, stray=stray, gains=gains, done=done,
         )  # fmt: skip
         done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
     if gains > 0:

@@ -7,7 +7,7 @@ from operator import add
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float
+from hshjax._typing import Array, Bool, Float
 from hshjax.bases import HSH, AbstractPairBasis, IsotropicBasis
 from hshjax.brdfs import GGX, AbstractBRDF, Lambert, LinearBRDF
 
@@ -41,6 +41,12 @@ def column_brdfs(columns: Sequence[Column]) -> tuple[AbstractBRDF, ...]:
         else:
             raise ValueError(f"columns are bases of pairs or BRDFs, got {column!r}")
     return tuple(found)
+
+
+def positive_columns(columns: Sequence[Column]) -> Bool[np.ndarray, " columns"]:
+    """Which columns have no negative coefficient: BRDFs. Functions of a basis have either sign."""
+    each = [np.full(c.count, False) if isinstance(c, AbstractPairBasis) else np.array([True]) for c in columns]
+    return np.concatenate(each)
 
 
 def combined(columns: Sequence[Column], coefficients: Float[Array, "materials columns"]) -> AbstractBRDF:

@@ -1,18 +1,94 @@
-"""Lambert's law: albedo times normal by weighted linear least squares, and which values to believe."""
+"""Photometric stereo by Lambert's law alone: quick, and what everything else is compared with."""
+
+from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
 from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
-from hshjax.stereo._trust import initial_trust
+from hshjax.photographs import Photographs
+from hshjax.stereo._observe import Observations
+from hshjax.stereo._trust import initial_trust, robust_trust
 from hshjax.stereo._weights import solve
+
+Method = Literal["least squares", "robust", "band"]
+
+ROUNDS = 8
+"""Of reweighting."""
 
 BAND = (0.1, 0.6)
 """Ranks of values, of those that are not dark: below lie soft shadows, above highlights."""
 
 FEWEST = 8
 """Values in the band; with fewer, all that are not dark are taken."""
+
+
+class Lambertian(NamedTuple):
+    """Host arrays of the pixels of the mask.
+
+    - `normals` `(pixels, 3)`: unit, in the world of the camera; NaN where photographs do not determine one.
+    - `albedo` `(pixels, channels)`: dimensionless, up to the factor that the exposure is; NaN likewise.
+    """
+
+    normals: Float[np.ndarray, "pixels 3"]
+    albedo: Float[np.ndarray, "pixels channels"]
+
+
+def lambertian(photographs: Photographs, method: Method = "band") -> Lambertian:
+    """Normals and albedo of a matte surface under known lights far away, by linear least squares in grey values.
+
+    - "least squares": of all values that are known, as Woodham had it. Shadows and highlights bend it.
+    - "robust": of those that are not dark, outliers taken off in rounds by Tukey's biweight.
+    - "band": of middle ranks, above most shadows and below most highlights. The best start for glossy surfaces.
+
+    Source: Woodham, Photometric Method for Determining Surface Orientation from Multiple Images, Optical Engineering
+    19(1), 1980.
+
+    **Raises:** ValueError for photographs that do not determine normals, and for another method.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
+    observations = Observations(photographs)
+    normals = np.empty((photographs.pixels, 3), np.float32)
+    albedo = np.empty((photographs.pixels, photographs.channels), np.float32)
+    for part, pixels in observations.tiles():
+        size = part.stop - part.start
+        trust, normal = _solved(pixels.values, pixels.known, observations.directions, method)
+        colour = observations.colour(part)
+        known = observations.filled(np.isfinite(colour).astype(np.float32))
+        colour = observations.filled(np.where(np.isfinite(colour), colour, 0))
+        normals[part] = np.asarray(normal)[:size]
+        albedo[part] = np.asarray(_albedo(colour, known, trust, normal, observations.directions))[:size]
+    return Lambertian(normals, albedo)
+
+
+@eqx.filter_jit
+def _solved(
+    values: Float[Array, "n lights"], known: Float[Array, "n lights"], directions: Float[Array, "lights 3"], method: str
+) -> tuple[Float[Array, "n lights"], Float[Array, "n 3"]]:
+    """The trust that is left in values, and unit normals; NaN where there is none."""
+    if method == "robust":
+        plain = initial_trust(values, known)
+
+        def reweighted(_, trust):
+            return robust_trust(values - scaled_normals(values, trust, directions) @ directions.T, plain)
+
+        trust = jax.lax.fori_loop(0, ROUNDS, reweighted, plain)
+    else:
+        trust = known if method == "least squares" else band_trust(values, known)
+    scaled = scaled_normals(values, trust, directions)
+    return trust, scaled / jnp.sqrt(jnp.sum(scaled * scaled, axis=1, keepdims=True))
+
+
+@eqx.filter_jit
+def _albedo(colour, known, trust, normal, directions) -> Float[Array, "n channels"]:
+    """π Σ trust I (n·l) / Σ trust (n·l)²: radiance of unit irradiance is albedo / π times the cosine."""
+    cosine = jnp.maximum(normal @ directions.T, 0)[..., None]
+    weight = trust[..., None] * known
+    return jnp.pi * jnp.sum(weight * colour * cosine, axis=1) / jnp.sum(weight * cosine**2, axis=1)
 
 
 @eqx.filter_jit

@@ -11,9 +11,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float
+from hshjax._typing import Array, Bool, Float
 from hshjax.bases._base import matmul
-from hshjax.stereo._refine import Estimate, predicted, refine
+from hshjax.stereo._refine import Estimate, predicted, refine, robust_refine
 from hshjax.stereo._shading import ShadingTable
 from hshjax.stereo._system import System
 from hshjax.stereo._trust import initial_trust, robust_trust
@@ -27,10 +27,10 @@ BEST = 0.5
 START = 4
 """Rounds of outliers before the first step."""
 
-STIFFNESS = 1.0
+STIFFNESS = 3.0
 """Of the prior that keeps materials near their first guess, relative to what the pixels say and their noise: as if each
-had seen that guess once. Between the BRDF and the normals of a smooth object little is determined, and without a prior
-solutions drift for ever."""
+had seen that guess three times. Between the BRDF and the normals of a smooth object little is determined, and without
+a prior solutions drift for ever."""
 
 LARGEST_GAIN = 0.2
 """Of a step, in logarithms."""
@@ -74,12 +74,21 @@ class Pixels(NamedTuple):
 
 
 def learn(
-    columns: ShadingTable, guess: Float[Array, "materials columns"], pixels: Pixels, pq: Float[Array, "n 2"],
-    *, rounds: int, stray: bool = True, gains: float = 0.0, done: Callable[[], None] = lambda: None,
-) -> Shared:  # fmt: skip
+    columns: ShadingTable,
+    guess: Float[Array, "materials columns"],
+    pixels: Pixels,
+    pq: Float[Array, "n 2"],
+    *,
+    positive: Bool[np.ndarray, " columns"],
+    rounds: int,
+    stray: bool = True,
+    gains: float = 0.0,
+    done: Callable[[], None] = lambda: None,
+) -> Shared:
     """The shared unknowns from some pixels: rounds of a step of theirs and a refinement of every normal.
 
     - `columns`: the table of what materials are made of. - `guess`: materials to begin with. - `pq`: normals likewise.
+    - `positive`: which columns have no negative coefficient.
     - `gains`: standard deviation of their logarithms, as if every value had told of its light's once, with the noise
       that is found; 0: there are none. What falls or rises with the direction of light, normals and materials can
       undo, and only this keeps it.
@@ -88,7 +97,8 @@ def learn(
     dtype = pixels.values.dtype
     shared = Shared(guess, jnp.zeros((), dtype), 0.0, jnp.zeros(pixels.values.shape[1], dtype))
     metric = squares(columns)
-    estimate = begin(columns.mixed(guess), pixels, pq)
+    plain = initial_trust(pixels.values, pixels.known)
+    estimate, _ = robust_refine(columns.mixed(guess), pixels.values, plain, pq, START, 8)
     for _ in range(rounds):
         table, given = columns.mixed(shared.coefficients), pixels.under(shared.gains)
         values, shades = given.without(shared.stray), predicted(table, estimate)
@@ -97,7 +107,7 @@ def learn(
         slopes = shades[:, None] if gains > 0 else None
         equations = shared_equations(columns, shared.coefficients, values, weight, estimate, given.stray, slopes)
         system = System(*equations, guess.size, values.shape[1])
-        keep_materials(system, shared, guess, noise * metric, weight, estimate)
+        keep_materials(system, shared, guess, noise * metric, weight, estimate, positive)
         if gains > 0:
             keep_gains(system, shared, noise / gains**2, weight)
         shared = moved(shared, system, system.solve(stray))._replace(noise=noise)
@@ -106,16 +116,6 @@ def learn(
         estimate = refine(table, values, trust, estimate.pq)
         done()
     return shared
-
-
-def begin(table: ShadingTable, pixels: Pixels, pq: Float[Array, "n 2"]) -> Estimate:
-    """Normals before the first step: rounds of refinement, outliers left out from the second on."""
-    plain = initial_trust(pixels.values, pixels.known)
-    estimate = refine(table, pixels.values, plain, pq)
-    for _ in range(START - 1):
-        trust = robust_trust(pixels.values - predicted(table, estimate), plain)
-        estimate = refine(table, pixels.values, trust, estimate.pq)
-    return estimate
 
 
 def learning_weight(
@@ -129,9 +129,14 @@ def learning_weight(
 
 
 def keep_materials(
-    system: System, shared: Shared, guess: Array, metric: np.ndarray, weight: Array, estimate: Estimate
-) -> None:
-    """The prior on coefficients: `STIFFNESS`. `metric`: squares of values as coefficients have it, times the noise."""
+    system: System, shared: Shared, guess: Array, metric: np.ndarray, weight: Array, estimate: Estimate,
+    positive: Bool[np.ndarray, " columns"],
+) -> None:  # fmt: skip
+    """The prior on coefficients, `STIFFNESS`, and bounds: coefficients of `positive` columns, and the share of stray
+    light, stay at 0 or above. `metric`: squares of values as coefficients have it, times the noise."""
+    now = np.asarray(shared.coefficients, np.float64)
+    system.least[system.materials] = np.where(positive, -now, -np.inf).ravel()
+    system.least[system.stray] = -float(shared.stray)
     amount = np.sum(np.asarray(weight)) * np.mean(np.asarray(estimate.weights, np.float64) ** 2, axis=0)
     strength = STIFFNESS * np.kron(np.diag(amount), metric)
     system.pull(system.materials, strength, np.asarray(shared.coefficients - guess, np.float64).ravel())
@@ -147,8 +152,8 @@ def moved(shared: Shared, system: System, step: np.ndarray) -> Shared:
     """What is shared after a step; gains, if they take part, are centred and move by `LARGEST_GAIN` at most."""
     dtype = shared.coefficients.dtype
     coefficients = shared.coefficients + jnp.asarray(step[system.materials].reshape(shared.coefficients.shape), dtype)
-    share = max(float(shared.stray) + step[system.stray], 0.0)  # light does not stray away
-    shared = shared._replace(coefficients=coefficients, stray=jnp.asarray(share, dtype))
+    stray = shared.stray + jnp.asarray(step[system.stray], dtype)
+    shared = shared._replace(coefficients=coefficients, stray=jnp.maximum(stray, 0))  # but for rounding it is
     if system.kinds == 0:
         return shared
     gains = np.asarray(shared.gains) + np.clip(step[system.of_lights(0, 1)], -LARGEST_GAIN, LARGEST_GAIN)
@@ -195,7 +200,7 @@ def shared_equations(
         mixed, own_block, own_right = light_blocks(shared, slopes, trust, residual)
         matrix = jnp.block([[matrix, mixed], [mixed.T, own_block]])
         right = jnp.concatenate([right, own_right])
-    coupling = jnp.concatenate(coupling, axis=2) * free[..., None]
+    coupling = jnp.where(free[..., None], jnp.concatenate(coupling, axis=2), 0)
     response = jnp.linalg.solve(gram, coupling)
     matrix = matrix - jnp.einsum("nag,nah->gh", coupling[..., :-1], response[..., :-1])
     return matrix, right - jnp.einsum("nag,na->g", coupling[..., :-1], response[..., -1])

@@ -28,6 +28,7 @@ class Observations:
 
     - `directed`: False where directions of lights stand for nothing.
     - `lights`; their `directions` `(lights, 3)`: unit, float32. - `brightness` `(pixels, 1)`.
+    - `seen` `(pixels,)`: whether any value above 0 is known.
     - `mean` `(lights, channels)`: radiance of unit irradiance, of all pixels where it is known.
 
     **Raises:** ValueError for lights that are unknown or near, a camera nearby, fewer than three photographs,
@@ -40,11 +41,14 @@ class Observations:
         self.directions = jnp.asarray(directions, jnp.float32)
         count = photographs.pixels
         self.brightness = np.empty((count, 1), np.float32)
+        self.seen = np.empty(count, bool)
         total = np.zeros((photographs.count, photographs.channels))
         known = np.zeros_like(total)
         for part in self.slices():
             values = self.colour(part)
-            self.brightness[part] = brightness(grey(values))
+            shades = grey(values)
+            self.brightness[part] = brightness(shades)
+            self.seen[part] = np.any(shades > 0, axis=1)
             total += np.nansum(values, axis=0, dtype=float)
             known += np.sum(~np.isnan(values), axis=0)
         if not np.all(known):

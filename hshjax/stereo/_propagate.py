@@ -53,7 +53,7 @@ def take_over(
     """
     around = from_chart(near)
     count = jnp.maximum(jnp.sum(there, axis=1), 1).astype(values.dtype)
-    mean = jnp.sum(near * there[..., None], axis=1) / count[:, None]
+    mean = jnp.sum(jnp.where(there[..., None], near, 0), axis=1) / count[:, None]
 
     def cost(candidate):
         shading = table.at(candidate)
@@ -63,7 +63,7 @@ def take_over(
         residual = values - jnp.sum(weights[..., None] * shading, axis=1)
         misfit = jnp.mean(jnp.minimum(jnp.abs(residual) * jnp.sqrt(trust), CUT), axis=1)
         chord = jnp.sqrt(jnp.sum((from_chart(candidate)[:, None] - around) ** 2, axis=-1))
-        return misfit + smoothness * jnp.sum(jnp.minimum(chord, TURN) * there, axis=1) / count
+        return misfit + smoothness * jnp.sum(jnp.where(there, jnp.minimum(chord, TURN), 0), axis=1) / count
 
     def look(best, candidate):
         value = cost(candidate)

@@ -8,6 +8,7 @@ from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
 from hshjax.stereo._chart import within
 from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._trust import robust_trust
 from hshjax.stereo._weights import non_negative_weights, solve
 
 LONGEST_STEP = 0.15
@@ -73,6 +74,24 @@ def refine(
     return jax.lax.fori_loop(0, steps, step, (damping, Estimate(pq, weights, cost)))[1]
 
 
+@eqx.filter_jit
+def robust_refine(
+    table: ShadingTable, values: Float[Array, "n lights"], plain: Float[Array, "n lights"], pq: Float[Array, "n 2"],
+    rounds: int, steps: int,
+) -> tuple[Estimate, Float[Array, "n lights"]]:  # fmt: skip
+    """`refine` in rounds, and the trust in values after the last of them; the first trusts all that `plain` does."""
+
+    def round_(state, _):
+        pq, trust, _ = state
+        estimate = refine(table, values, trust, pq, steps)
+        return (estimate.pq, robust_trust(values - predicted(table, estimate), plain), estimate), None
+
+    first = refine(table, values, plain, pq, steps)
+    state = first.pq, robust_trust(values - predicted(table, first), plain), first
+    (_, trust, estimate), _ = jax.lax.scan(round_, state, length=rounds - 1)
+    return estimate, trust
+
+
 def normal_equations(
     shading: Float[Array, "n materials lights"],
     slope: Float[Array, "n 2 materials lights"],
@@ -85,7 +104,7 @@ def normal_equations(
     weighted = trust[:, None] * jacobian
     hessian = matmul(weighted, jnp.swapaxes(jacobian, 1, 2))
     gradient = matmul(weighted, residual[..., None])[..., 0]
-    coupling = matmul(weighted, jnp.swapaxes(shading, 1, 2)) * (weights > 0)[:, None]
+    coupling = jnp.where((weights > 0)[:, None], matmul(weighted, jnp.swapaxes(shading, 1, 2)), 0)
     undone = [_undone(shading, weights, trust, coupling[:, i]) for i in range(2)]
     taken = [jnp.stack([jnp.sum(coupling[:, i] * undone[j], axis=1) for j in range(2)], axis=1) for i in range(2)]
     return hessian - jnp.stack(taken, axis=1), gradient

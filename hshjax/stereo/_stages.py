@@ -15,9 +15,9 @@ from hshjax.stereo._lambertian import band_trust, scaled_normals
 from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
-from hshjax.stereo._refine import Estimate, normal_equations, predicted, refine
+from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine
 from hshjax.stereo._shading import ShadingTable
-from hshjax.stereo._trust import initial_trust, residual_scale, robust_trust
+from hshjax.stereo._trust import initial_trust, residual_scale
 from hshjax.stereo._weights import non_negative_weights
 
 
@@ -46,24 +46,6 @@ def refine_all(
         _keep(found, part, estimate.pq)
         done()
     return found
-
-
-@eqx.filter_jit
-def robust_refine(
-    table: ShadingTable, values: Float[Array, "n lights"], plain: Float[Array, "n lights"], pq: Float[Array, "n 2"],
-    rounds: int, steps: int,
-) -> tuple[Estimate, Float[Array, "n lights"]]:  # fmt: skip
-    """`refine` in rounds, and the trust in values after the last of them; the first trusts all that `plain` does."""
-
-    def round_(state, _):
-        pq, trust, _ = state
-        estimate = refine(table, values, trust, pq, steps)
-        return (estimate.pq, robust_trust(values - predicted(table, estimate), plain), estimate), None
-
-    first = refine(table, values, plain, pq, steps)
-    state = first.pq, robust_trust(values - predicted(table, first), plain), first
-    (_, trust, estimate), _ = jax.lax.scan(round_, state, length=rounds - 1)
-    return estimate, trust
 
 
 def hand_on(

@@ -4,18 +4,23 @@ import numpy as np
 
 from hshjax._typing import Array, Float
 
+BOUND = 1e-9
+"""Between a bound and what stands on it: a box must not be empty."""
+
 
 class System:
     """Equations of a step, to which priors are added.
 
     - `materials`: which unknowns are coefficients. - `stray`: which one is the share of stray light.
     - `kinds`: how many unknowns each of `lights` has; they come last, kind by kind.
+    - `least`: how far down each unknown may go, -inf for any.
     """
 
     def __init__(self, matrix: Array, right: Array, size: int, lights: int):
         self.matrix, self.right = np.array(matrix, float), np.array(right, float)
         self.materials, self.stray, self.lights = slice(0, size), size, lights
         self.kinds = (len(self.right) - size - 1) // lights
+        self.least = np.full_like(self.right, -np.inf)
         self._damping = np.empty_like(self.right)
         self._damping[self.materials] = 3e-4 * np.mean(self._diagonal[self.materials])
         self._damping[size:] = 1e-3 * self._diagonal[size:] + np.finfo(float).tiny
@@ -34,10 +39,16 @@ class System:
         self.right[part] -= strength @ moved
 
     def solve(self, stray: bool) -> Float[np.ndarray, " unknowns"]:
-        """The step; `stray`: whether stray light takes part in it."""
+        """The best step within bounds; `stray`: whether stray light takes part in it."""
+        from scipy.linalg import solve_triangular  # slow to import
+        from scipy.optimize import lsq_linear
+
         keep = np.ones(len(self.right), bool)
         keep[self.stray] = stray
         step = np.zeros_like(self.right)
-        damped = self.matrix + np.diag(self._damping)
-        step[keep] = np.linalg.solve(damped[np.ix_(keep, keep)], self.right[keep])
+        root = np.linalg.cholesky((self.matrix + np.diag(self._damping))[np.ix_(keep, keep)])
+        right = solve_triangular(root, self.right[keep], lower=True)
+        # The least of |rootᵀ step - right|² above bounds; BOUND keeps what stands on one inside.
+        bounds = (np.minimum(self.least[keep], 0) - BOUND, np.inf)
+        step[keep] = lsq_linear(root.T, right, bounds, method="bvls").x
         return step

@@ -17,11 +17,11 @@ from hshjax.brdfs import AbstractBRDF
 from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
 from hshjax.stereo._chart import from_chart
-from hshjax.stereo._columns import Column, column_brdfs, combined, first_guess
+from hshjax.stereo._columns import Column, column_brdfs, combined, first_guess, positive_columns
 from hshjax.stereo._learn import (
+    START,
     Pixels,
     Shared,
-    begin,
     coefficients_of,
     keep_materials,
     learning_weight,
@@ -29,7 +29,7 @@ from hshjax.stereo._learn import (
     shared_equations,
     squares,
 )  # fmt: skip
-from hshjax.stereo._refine import predicted, refine
+from hshjax.stereo._refine import predicted, refine, robust_refine
 from hshjax.stereo._shading import shading_table
 from hshjax.stereo._system import System
 from hshjax.stereo._trust import initial_trust, robust_trust
@@ -74,7 +74,8 @@ def turned_lights(
     guess = coefficients_of(table, shading_table(first_guess(materials), jnp.asarray(directions, dtype), SIZE))
     metric = squares(table)
     shared = Shared(guess, jnp.zeros((), dtype), 0.0, jnp.zeros(len(directions), dtype))
-    estimate = begin(table.mixed(guess), pixels, pq)
+    plain = initial_trust(pixels.values, pixels.known)
+    estimate, _ = robust_refine(table.mixed(guess), pixels.values, plain, pq, START, 8)
     for _ in range(rounds):
         given = pixels.under(shared.gains)
         values, shades = given.without(shared.stray), predicted(table.mixed(shared.coefficients), estimate)
@@ -88,7 +89,7 @@ def turned_lights(
         slopes = jnp.concatenate([shades[:, None], turns], axis=1)
         equations = shared_equations(table, shared.coefficients, values, weight, estimate, given.stray, slopes)
         system = System(*equations, guess.size, len(directions))
-        keep_materials(system, shared, guess, noise * metric, weight, estimate)
+        keep_materials(system, shared, guess, noise * metric, weight, estimate, positive_columns(columns))
         frames = np.concatenate([directions[:, None], across], axis=1)
         keep_lights(system, start, directions, np.asarray(shared.gains, float), frames, noise, float(jnp.sum(weight)))
         step = system.solve(stray)

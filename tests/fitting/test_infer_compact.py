@@ -59,6 +59,37 @@ def test_draws_of_the_prior_are_covered(channels):
 
 
 @needs_x64
+@pytest.mark.parametrize("criterion", ["evidence", "leave-one-out"])
+def test_the_number_of_functions_is_chosen(criterion):
+    """By what speaks for it, among all that is asked for; a material that few functions hold does not take many."""
+    basis = HalfVectorBasis(6, LogWarp(jnp.asarray(0.1)))
+    coefficients = jnp.asarray([-1.5, 0.4, 0.3, -0.2, 0.2, 0.1])
+    samples, _ = noisy(LogLinearBRDF(basis, [coefficients], jnp.eye(1)), 120, 3, sigma=0.02)
+    sizes = (3, 6, FEW)
+    found = infer_compact(samples, sizes, alphas=(0.1,), criterion=criterion)
+    assert {trial.functions for trial in found.trials} == set(sizes)
+    assert found.chosen.functions > 3
+    assert found.model.basis.count == found.chosen.functions
+    said = {"evidence": lambda trial: trial.evidence, "leave-one-out": lambda trial: trial.predictive}[criterion]
+    assert said(found.chosen) >= max(map(said, found.trials)) - 0.1  # linearised anew
+    one = infer_compact(samples, found.chosen.functions, alphas=(0.1,), criterion=criterion)
+    assert one.noise == pytest.approx(found.noise, rel=0.02)
+
+
+@needs_x64
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ({"functions": ()}, "functions must be one positive number or several"),
+        ({"criterion": "luck"}, "criterion must be one of evidence, leave-one-out, got 'luck'"),
+    ],
+)
+def test_choices_that_do_not_exist_are_refused(argument, message, unchecked):
+    with pytest.raises(ValueError, match=message):
+        infer_compact(noisy(PLASTIC, 60, 0)[0], **argument)
+
+
+@needs_x64
 def test_the_material_and_its_noise_are_found():
     samples, _ = noisy(PLASTIC, 600, 0, sigma=0.05, dark=0.02)
     found = infer_compact(samples, FEW)
@@ -351,7 +382,7 @@ REFUSED = {
     "scales": (lambda: scattered(), {"alphas": [0.0]}, "scales are positive"),
     "no scale": (lambda: scattered(), {"alphas": []}, "scales are positive, at least one"),
     "noise": (lambda: scattered(), {"noise": 0.0}, "noise must be > 0"),
-    "functions": (lambda: scattered(), {"functions": 0}, "at least one function"),
+    "functions": (lambda: scattered(), {"functions": 0}, "functions must be one positive number or several"),
 }
 
 

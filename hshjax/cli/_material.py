@@ -1,35 +1,19 @@
-"""The `hshjax` command: look at a measured material, fit it, keep the model."""
+"""Commands on materials: say what a file holds, fit it, keep the model."""
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-try:
-    import typer
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-    from rich.table import Table
-    from rich.text import Text
-except ModuleNotFoundError as missing:
-    sys.exit(f"the hshjax command needs {missing.name}: pip install 'hshjax[experiments]'")
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
 
-app = typer.Typer(
-    no_args_is_help=True,
-    add_completion=False,
-    help="Compact, reciprocal reflectance: fit measured materials.",
-    epilog="Examples:  hshjax info leather.bsdf  ·  hshjax fit leather.bsdf --order 8 --out leather.hshjax",
-)
-# No markup: paths and what files say of themselves may hold brackets.
-console = Console(highlight=False, markup=False)
-complaints = Console(highlight=False, markup=False, stderr=True)
+from hshjax.cli._console import Text, complaints, console, failure, typer
 
 File = Annotated[Path, typer.Argument(help="A measured material (RGL .bsdf) or a model that `hshjax fit` saved.")]
 FAMILIES = {"hsh": "HSH", "zernike": "Zernike", "shr": "SHR"}
 
 
-@app.command()
 def info(file: File) -> None:
     """Say what a file holds: material, channels, range of values, albedo, how reciprocal it is."""
     brdf, facts = _read(file)
@@ -39,7 +23,6 @@ def info(file: File) -> None:
     console.print(table)
 
 
-@app.command()
 def fit(
     file: File,
     model: Annotated[
@@ -99,14 +82,14 @@ def fit(
 
     brdf, _ = _read(file)
     if valid and model != "linear":
-        raise _exit(f"--valid is for the linear model; {model} is positive by construction")
+        raise failure(f"--valid is for the linear model; {model} is positive by construction")
     if out is None:
         out = file.with_suffix(".hshjax")
         if out.exists():
-            raise _exit(f"{out} is there already: say where to save by --out (--out {out} to replace it)")
+            raise failure(f"{out} is there already: say where to save by --out (--out {out} to replace it)")
     for target in (out, picture):
         if target is not None and not target.absolute().parent.is_dir():
-            raise _exit(f"{target}: there is no folder {target.absolute().parent}")
+            raise failure(f"{target}: there is no folder {target.absolute().parent}")
     pairs = bases.IsotropicBasis(getattr(bases, FAMILIES[basis])(order))
     rule = isotropic_pair_rule(max(64, 4 * order) if degree is None else degree)
     try:
@@ -122,7 +105,7 @@ def fit(
             fitted, facts = _parametric(model, samples, max_steps)
         save_model(out, fitted)
     except (OSError, ValueError) as error:
-        raise _exit(str(error)) from error
+        raise failure(str(error)) from error
 
     table = Table(title=f"{file.name}: {model}", title_justify="left", show_header=False)
     facts |= {
@@ -138,7 +121,7 @@ def fit(
         try:
             _save_spheres(picture, brdf, fitted)
         except (OSError, ValueError) as error:
-            raise _exit(f"{picture}: {error}") from error
+            raise failure(f"{picture}: {error}") from error
         console.print(f"picture: {picture}")
 
 
@@ -268,12 +251,12 @@ def _read(file: Path) -> tuple:
         with file.open("rb") as stream:
             head = stream.read(11)
         if head != b"tensor_file" and not head.startswith(b"{"):
-            raise _exit(f"{file}: expected an RGL material (tensor_file) or a saved model, got a file of {head!r}...")
+            raise failure(f"{file}: expected an RGL material (tensor_file) or a saved model, got a file of {head!r}...")
         brdf = read_rgl(file) if head == b"tensor_file" else load_model(file)
     except (OSError, ValueError) as error:
-        raise _exit(str(error)) from error
+        raise failure(str(error)) from error
     if not isinstance(brdf, AbstractBRDF):
-        raise _exit(f"{file}: expected a BRDF, got a saved {type(brdf).__name__}")
+        raise failure(f"{file}: expected a BRDF, got a saved {type(brdf).__name__}")
     facts = {"kind": type(brdf).__name__}
     if isinstance(brdf, RGLTable):
         facts |= {"material": brdf.description, "channels": ", ".join(brdf.channel_names)}
@@ -299,11 +282,6 @@ def _series(brdf) -> dict[str, str]:
             if isinstance(warp, AbstractScaledWarp):
                 facts[name] = f"{float(warp.alpha):.3g} ({type(warp).__name__})"
     return facts
-
-
-def _exit(message: str) -> Exception:
-    complaints.print(Text("error:", style="bold red"), message, soft_wrap=True)
-    return typer.Exit(2)
 
 
 def _figures(brdf) -> dict[str, str]:
@@ -339,12 +317,3 @@ def _save_spheres(path: Path, measured, fitted) -> None:
     images = [plotting.sphere(brdf) for brdf in (measured, fitted)]
     factor = plotting.exposure(images[0])
     imsave(path, np.concatenate([plotting.display(image, factor) for image in images], axis=1))
-
-
-def main() -> None:
-    """Entry point of the console script."""
-    import jax
-
-    # A command line owns its process, so it may choose: figures are computed in double precision.
-    jax.config.update("jax_enable_x64", True)
-    app()
