@@ -30,7 +30,7 @@ def solve_uncalibrated(
     materials: int = 2,
     columns: Sequence[Column] | None = None,
     pixels: int = 2000,
-    turns: int = 12,
+    turns: int = 6,
     stray: bool = True,
     seed: int = 0,
     progress: Progress | None = None,

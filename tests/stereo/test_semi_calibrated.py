@@ -40,7 +40,7 @@ def test_channels_have_mean_one():
 def test_single_photographs_that_are_too_bright():
     scene = sphere()
     factor = np.ones(scene.count)
-    factor[[3, 11]] = 1.3
+    factor[[1, 4, 8, 13, 17, 20, 22]] = 1.3  # two would pass for outliers
     spoilt = replace(scene, values=scene.values * factor[:, None].astype(np.float32))
     trusting, doubting = (solve_calibrated(spoilt, gains=gains, **QUICK) for gains in (0.0, 0.03))
     found = np.asarray(doubting.lights.irradiance / scene.lights.irradiance)[:, 0]
