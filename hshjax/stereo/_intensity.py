@@ -12,8 +12,8 @@ OF_PIXEL = 0.9
 """Quantile over lights that stands for a pixel: what it shows of the lights that it faces."""
 
 OF_LIGHT = 0.75
-"""Quantile over pixels, relative to them, that stands for a light: those that face it. Higher ones favour lights that
-many pixels face; of 0.85, intensities of lights near the camera came out too high by half (`docs/decisions.md`)."""
+"""Quantile over pixels, relative to them, that stands for a light: those that face it. Of 0.85, lights near the camera
+come out darker by an eighth than those far from it (`docs/decisions.md`)."""
 
 LIT = 0.3
 """What a light must make of a pixel, relative to its brightness, for the pixel to tell of it."""

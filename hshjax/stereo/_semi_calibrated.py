@@ -27,8 +27,8 @@ def solve_semi_calibrated(photographs: Photographs, *, gains: float = 0.3, seed:
     have of grey.
 
     - `lights` of the result: irradiance `(channels,)` each. The whole has no scale, and the channels none between
-      them: geometric means over lights are 1. So the colour of the light is white on average, and weights of materials
-      hold the rest.
+      them: their geometric means over lights are equal. So the light is white on average, and weights of materials
+      hold its colour.
     - `gains`: standard deviation of logarithms of intensities about their beginning.
 
     **Raises:** ValueError as `solve_calibrated`, and for photographs that are black.
