@@ -8,7 +8,7 @@ import numpy as np
 from hshjax.photographs import Photographs
 from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess, positive_columns
 from hshjax.stereo._history import History, Progress
-from hshjax.stereo._intensity import band_gains, brighter, single_gains
+from hshjax.stereo._intensity import band_gains, single_gains
 from hshjax.stereo._learn import coefficients_of, learn
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import FAR, neighbours
@@ -45,8 +45,9 @@ def solve_calibrated(
     - `sweeps`: of handing on, 0 for none. - `smoothness`: how much agreement with neighbours counts in it, in units of
       the noise that is found: the worse photographs are explained, the more.
     - `stray`: whether light that strays (a share of the mean of each photograph) is found and taken off.
-    - `gains`: how wrong the irradiance of lights may be, a standard deviation of logarithms: 0 for right as it is, 0.3
-      where little is known of it, see `learn`.
+    - `gains`: how wrong the irradiance of lights may be, a standard deviation of logarithms: 0 for right as it is, 0.03
+      where single photographs may be too bright or too dark besides; see `learn`. `lights` of the result hold what was
+      found.
     - `seed`: of the choice of pixels. - `progress`: called with a stage, what is done and what there is to do.
 
     **Raises:** ValueError for photographs that do not determine normals (`Observations`), and for other arguments out
@@ -54,12 +55,8 @@ def solve_calibrated(
     """
     if not 1 <= materials <= LIMIT:
         raise ValueError(f"materials must be 1 to {LIMIT}, got {materials}")
-    for name, value, least in (
-        ("pixels", pixels, 1),
-        ("rounds", rounds, 0),
-        ("sweeps", sweeps, 0),
-        ("gains", gains, 0),
-    ):
+    least_values = ("pixels", pixels, 1), ("rounds", rounds, 0), ("sweeps", sweeps, 0), ("gains", gains, 0)
+    for name, value, least in least_values:
         if value < least:
             raise ValueError(f"{name} must be at least {least}, got {value}")
     columns = default_columns() if columns is None else columns
@@ -71,7 +68,7 @@ def solve_calibrated(
         if gains > 0:
             some = observations.pixels(chosen)
             single = single_gains(band_gains(some, observations.directions), np.asarray(observations.directions))
-            observations = Observations(brighter(photographs, np.exp(single)))
+            observations = observations.brighter(np.exp(single))
             done.figures["single"] = float(np.sum(single != 0))
         pq = start(observations, done)
     with history.stage("learn", rounds) as done:
@@ -83,7 +80,7 @@ def solve_calibrated(
         )  # fmt: skip
         done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
     if gains > 0:
-        observations = Observations(brighter(observations.photographs, np.exp(np.asarray(shared.gains))))
+        observations = observations.brighter(np.exp(np.asarray(shared.gains)))
     mixed = table.mixed(shared.coefficients)
     with history.stage("normals", steps) as done:
         pq = refine_all(observations, mixed, shared, pq, 4, 8, done)

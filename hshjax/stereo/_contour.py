@@ -29,9 +29,9 @@ def contour(mask: Bool[np.ndarray, "rows columns"]) -> tuple[Int[np.ndarray, " n
     from scipy import ndimage
 
     wide = int(4 * BLUR)
-    blurred = ndimage.gaussian_filter(np.pad(mask, wide).astype(float), BLUR)
-    down, right = (slope[wide:-wide, wide:-wide] for slope in np.gradient(blurred))
-    edge = mask & ~ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1)
+    blurred = np.asarray(ndimage.gaussian_filter(np.pad(mask, wide).astype(float), BLUR))
+    down, right = (np.gradient(blurred, axis=axis)[wide:-wide, wide:-wide] for axis in (0, 1))
+    edge = mask & ~np.asarray(ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1), bool)
     edge[[0, -1]] = edge[:, [0, -1]] = False
     number = np.cumsum(mask.ravel()).reshape(mask.shape) - 1
     outward = np.stack([-right[edge], down[edge]], axis=1)

@@ -25,7 +25,7 @@ def factored(pixels: Pixels) -> Float[np.ndarray, "lights 3"]:
     one axis.
     """
     values, plain = np.asarray(pixels.values, float), np.asarray(band_trust(pixels.values, pixels.known), float)
-    left, scale, right = np.linalg.svd(np.where(np.asarray(pixels.known) > 0, values, 0), full_matrices=False)
+    _, scale, right = np.linalg.svd(np.where(np.asarray(pixels.known) > 0, values, 0), full_matrices=False)
     lights, trust = right[:3].T * scale[:3] / np.sqrt(len(values)), plain
     for turn in range(ROUNDS):
         albedo_normals = _factor(values, trust, lights)

@@ -1,14 +1,10 @@
 """How bright lights are, from photographs alone: every light has pixels that face it."""
 
-from dataclasses import replace
-
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
-from hshjax.photographs import Photographs
 from hshjax.stereo._lambertian import band_trust, scaled_normals
 from hshjax.stereo._learn import Pixels
 
@@ -16,8 +12,8 @@ OF_PIXEL = 0.9
 """Quantile over lights that stands for a pixel: what it shows of the lights that it faces."""
 
 OF_LIGHT = 0.75
-"""Quantile over pixels, relative to them, that stands for a light: those that face it. Higher ones favour lights that
-many pixels face; of 0.85, intensities of lights near the camera came out too high by half (`docs/decisions.md`)."""
+"""Quantile over pixels, relative to them, that stands for a light: those that face it. Of 0.85, lights near the camera
+come out darker by an eighth than those far from it (`docs/decisions.md`)."""
 
 LIT = 0.3
 """What a light must make of a pixel, relative to its brightness, for the pixel to tell of it."""
@@ -34,7 +30,7 @@ def diffuse_maxima(values: Float[np.ndarray, "pixels lights"], rounds: int = 10)
     uncalibrated lights, e.g. Favaro & Papadhimitri, A Closed-Form Solution to Uncalibrated Photometric Stereo via
     Diffuse Maxima, CVPR 2012, in another form.
 
-    **Raises:** ValueError for a photograph that is black.
+    **Raises:** ValueError for a light that reaches less than a quarter of the pixels.
     """
     intensity = np.ones(values.shape[1])
     for _ in range(rounds):
@@ -43,7 +39,7 @@ def diffuse_maxima(values: Float[np.ndarray, "pixels lights"], rounds: int = 10)
         intensity = intensity * np.nanquantile(values[lit] / (intensity * albedo[lit]), OF_LIGHT, axis=0)
         if not np.all(intensity > 0):
             dark = (np.flatnonzero(~(intensity > 0)) + 1).tolist()
-            raise ValueError(f"photographs {dark} are black: leave them out")
+            raise ValueError(f"lights {dark} reach too few pixels: their intensity is not determined")
         intensity /= np.exp(np.mean(np.log(intensity)))
     return intensity
 
@@ -59,16 +55,11 @@ def light_colours(values: Float[np.ndarray, "pixels lights channels"]) -> Float[
     return colours / np.exp(np.mean(np.log(colours), axis=0))
 
 
-def brighter(photographs: Photographs, factors: Float[np.ndarray, " lights"]) -> Photographs:
-    """The same under lights whose irradiance is multiplied."""
-    lights = photographs.lights
-    factors = jnp.asarray(factors, lights.irradiance.dtype)
-    brighter = jax.vmap(lambda light, factor: replace(light, irradiance=light.irradiance * factor))(lights, factors)
-    return replace(photographs, lights=brighter)
-
-
 def band_gains(pixels: Pixels, directions: Float[Array, "lights 3"], rounds: int = 4) -> Float[np.ndarray, " lights"]:
-    """Logarithms of gains, median 0: values of lit pixels over what Lambert's law on middle ranks predicts, in turns."""
+    """Logarithms of gains, median 0: values of lit pixels over what Lambert's law on middle ranks predicts, in turns.
+
+    **Raises:** ValueError for lights that reach no pixel.
+    """
     gains = np.zeros(len(directions))
     for _ in range(rounds):
         given = pixels.under(jnp.asarray(gains, pixels.values.dtype))

@@ -1,7 +1,9 @@
 """What photometric stereo looks at: grey values relative to the light's irradiance and to the pixel's brightness."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -53,6 +55,12 @@ class Observations:
             blind = (np.flatnonzero(~np.all(known, axis=1)) + 1).tolist()
             raise ValueError(f"nothing is known of any pixel in photographs {blind}: leave them out")
         self.mean = (total / known).astype(np.float32)
+
+    def brighter(self, factors: Float[np.ndarray, " lights"]) -> "Observations":
+        """Of the same photographs, under lights whose irradiance is multiplied."""
+        given = jnp.asarray(factors, self.lights.irradiance.dtype)
+        scaled = jax.vmap(lambda light, factor: replace(light, irradiance=light.irradiance * factor))
+        return Observations(replace(self.photographs, lights=scaled(self.lights, given)))
 
     @property
     def steps(self) -> int:

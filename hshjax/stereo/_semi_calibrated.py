@@ -10,7 +10,7 @@ import numpy as np
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import Photographs
 from hshjax.stereo._calibrated import solve_calibrated
-from hshjax.stereo._intensity import band_gains, brighter, diffuse_maxima, light_colours
+from hshjax.stereo._intensity import band_gains, diffuse_maxima, light_colours
 from hshjax.stereo._observe import Observations, grey
 from hshjax.stereo._result import Stereo
 
@@ -27,8 +27,8 @@ def solve_semi_calibrated(photographs: Photographs, *, gains: float = 0.3, seed:
     have of grey.
 
     - `lights` of the result: irradiance `(channels,)` each. The whole has no scale, and the channels none between
-      them: geometric means over lights are 1. So the colour of the light is white on average, and weights of materials
-      hold the rest.
+      them: their geometric means over lights are equal. So the light is white on average, and weights of materials
+      hold its colour.
     - `gains`: standard deviation of logarithms of intensities about their beginning.
 
     **Raises:** ValueError as `solve_calibrated`, and for photographs that are black.
@@ -48,12 +48,20 @@ def with_intensities(photographs: Photographs, seed: int) -> Photographs:
     photographs = under(photographs, np.asarray(lights.direction), intensities(photographs, some))
     observations = Observations(photographs)
     gains = band_gains(observations.pixels(some), observations.directions)
-    return brighter(photographs, np.exp(gains))
+    return observations.brighter(np.exp(gains)).photographs
 
 
 def intensities(photographs: Photographs, some: np.ndarray) -> np.ndarray:
-    """Irradiance of lights `(lights, channels)`, whatever their directions, of what some pixels show."""
+    """Irradiance of lights `(lights, channels)`, whatever their directions, of what some pixels show.
+
+    **Raises:** ValueError for photographs that are black, in which no channel of one of these pixels is above 0.
+    """
     values = np.asarray(photographs.values[some], np.float32)
+    shown = values > 0  # false of NaN
+    black = ~np.all(np.any(shown, axis=0), axis=1)
+    if np.any(black):
+        raise ValueError(f"photographs {(np.flatnonzero(black) + 1).tolist()} are black: leave them out")
+    values = values[np.all(np.any(shown, axis=1), axis=1)]
     colours = light_colours(values)
     return colours * diffuse_maxima(grey(values / colours.astype(np.float32)))[:, None]
 

@@ -40,7 +40,7 @@ SIZE = 65
 LONGEST_TURN = 0.08
 """Of a step [radians]."""
 
-SINGLE = 1e3
+SINGLE = 1e2
 """Of the prior on what turns and gains are beside a linear map of all lights: as if that many values, with the noise
 that is found, had told of each light's. The rank of the photographs tells it well from the start."""
 

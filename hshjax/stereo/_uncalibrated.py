@@ -14,7 +14,6 @@ from hshjax.stereo._columns import Column, default_columns
 from hshjax.stereo._contour import contour, turn
 from hshjax.stereo._factor import factored
 from hshjax.stereo._history import History, Progress
-from hshjax.stereo._intensity import brighter
 from hshjax.stereo._lambertian import band_trust, scaled_normals
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._result import Stereo
@@ -31,7 +30,7 @@ def solve_uncalibrated(
     materials: int = 2,
     columns: Sequence[Column] | None = None,
     pixels: int = 2000,
-    turns: int = 12,
+    turns: int = 6,
     stray: bool = True,
     seed: int = 0,
     progress: Progress | None = None,
@@ -81,9 +80,8 @@ def solve_uncalibrated(
         )  # fmt: skip
         moved = np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(found.directions - directions, axis=1) / 2, 0, 1)))
         done.figures |= {"moved": float(np.mean(moved)), "noise": found.noise}
-    photographs = brighter(
-        under(photographs, found.directions, np.asarray(photographs.lights.irradiance)), np.exp(found.gains)
-    )
+    irradiance = np.asarray(observations.lights.irradiance) * np.exp(found.gains)[:, None]
+    photographs = under(photographs, found.directions, irradiance)
     solved = solve_calibrated(
         photographs, materials=materials, columns=columns, stray=stray, seed=seed, progress=progress, **options
     )
