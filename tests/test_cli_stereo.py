@@ -266,3 +266,16 @@ def test_what_this_version_cannot_do_is_said(archive, tmp_path, monkeypatch):
     done = run(archive(), "--out", tmp_path / "out", "--lights", "unknown", "--sweeps", 3)
     assert done.exit_code == 2
     assert "--sweeps" in done.stderr
+
+
+def test_options_are_handed_on_to_solvers_that_hand_them_on(archive, tmp_path, monkeypatch):
+    seen = []
+
+    def solve(photographs, *, progress, seed, **options):
+        seen.append(options)
+        return solver()(photographs, progress=progress, seed=seed)
+
+    monkeypatch.setattr(hshjax.stereo, "solve_uncalibrated", solve, raising=False)
+    done = run(archive(), "--out", tmp_path / "out", "--lights", "unknown", "--sweeps", 3)
+    assert done.exit_code == 0, done.output + done.stderr
+    assert seen == [{"materials": 2, "sweeps": 3}]
