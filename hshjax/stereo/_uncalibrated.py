@@ -31,6 +31,7 @@ def solve_uncalibrated(
     columns: Sequence[Column] | None = None,
     pixels: int = 2000,
     turns: int = 6,
+    equal: bool = False,
     stray: bool = True,
     seed: int = 0,
     progress: Progress | None = None,
@@ -45,6 +46,8 @@ def solve_uncalibrated(
     whose `options` are these) under those that were found.
 
     - `pixels`, `turns`: how many pixels lights are learned from, and for how many rounds.
+    - `equal`: whether intensities begin as equal, not as what lights make of the pixels that face them: better where
+      they are near to equal, or lights few and on one side.
     - `lights` of the result: see `solve_semi_calibrated` for the scale of their irradiance.
 
     Lambert's law knows lights up to eight numbers only, and intensities and highlights tell of these but little: take
@@ -65,7 +68,8 @@ def solve_uncalibrated(
     with history.stage("factors") as done:
         some = np.sort(np.random.default_rng([seed, 1]).permutation(photographs.pixels)[:SOME])
         upwards = np.broadcast_to([0.0, 0.0, 1.0], (photographs.count, 3))
-        photographs = under(photographs, upwards, intensities(photographs, some))
+        begun = intensities(photographs, some)  # raises for black photographs, if equal too
+        photographs = under(photographs, upwards, np.ones_like(begun) if equal else begun)
         observations = Observations(photographs, directed=False)
         directions = factored(observations.pixels(some))
         normals = band_normals(observations, directions)

@@ -36,6 +36,12 @@ def test_lights_and_normals_of_a_glossy_sphere():
     assert names == ["factors", "lights", "start", "learn", "normals", "neighbours", "reflectance"]
 
 
+def test_equal_intensities_are_a_better_start_where_they_are():
+    scene = sphere()
+    even = replace(scene, values=(scene.values / np.asarray(scene.lights.irradiance)).astype(np.float32), lights=None)
+    assert light_error(solve_uncalibrated(even, equal=True, **QUICK), scene) < 2.0
+
+
 def test_lights_that_are_given_are_not_looked_at():
     scene = sphere()
     quick = QUICK | {"turns": 1, "rounds": 1, "sweeps": 0}
