@@ -67,6 +67,11 @@ class Photographs(eqx.Module):
 
     def image(self, values: np.ndarray, background: float = 0.0) -> np.ndarray:
         """Values `(pixels, *rest)` in their places: `(rows, columns, *rest)`."""
-        image = np.full((*self.mask.shape, *values.shape[1:]), background, values.dtype)
-        image[self.mask] = values
-        return image
+        return placed(values, self.mask, background)
+
+
+def placed(values: np.ndarray, mask: np.ndarray, background: float = 0.0) -> np.ndarray:
+    """Values `(pixels, *rest)` in the places of a mask, row by row: `(rows, columns, *rest)`."""
+    image = np.full((*mask.shape, *values.shape[1:]), background, values.dtype)
+    image[mask] = values
+    return image

@@ -62,8 +62,7 @@ def solve_calibrated(
     columns = default_columns() if columns is None else columns
     observations, history = Observations(photographs), History(progress)
     steps = observations.steps
-    # A pixel of which nothing is known leaves no residual, and would count among those that fit best.
-    chosen = np.sort(np.random.default_rng(seed).permutation(np.flatnonzero(observations.seen))[:pixels])
+    chosen = observations.some(pixels, np.random.default_rng(seed))
     with history.stage("start", steps) as done:
         if gains > 0:
             some = observations.pixels(chosen)

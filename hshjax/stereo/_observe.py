@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float
+from hshjax._typing import Array, Float, Int
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import LUMA, Photographs
 from hshjax.stereo._learn import Pixels
@@ -61,6 +61,11 @@ class Observations:
         given = jnp.asarray(factors, self.lights.irradiance.dtype)
         scaled = jax.vmap(lambda light, factor: replace(light, irradiance=light.irradiance * factor))
         return Observations(replace(self.photographs, lights=scaled(self.lights, given)))
+
+    def some(self, count: int, random: np.random.Generator) -> Int[np.ndarray, " n"]:
+        """Numbers of `count` pixels at most that are `seen`, to learn from: one of which nothing is known leaves no
+        residual, and would count among those that fit best."""
+        return np.sort(random.permutation(np.flatnonzero(self.seen))[:count])
 
     @property
     def steps(self) -> int:

@@ -6,6 +6,7 @@ import numpy as np
 from hshjax._typing import Array, Bool, Float
 from hshjax.brdfs import AbstractBRDF
 from hshjax.lighting import AbstractLighting
+from hshjax.photographs import placed
 from hshjax.stereo._history import Stage
 
 
@@ -37,9 +38,7 @@ class Stereo(eqx.Module):
 
     def image(self, values: Float[np.ndarray, "pixels ..."]) -> Float[np.ndarray, "rows columns ..."]:
         """Values of the pixels in their places, 0 elsewhere."""
-        image = np.zeros((*self.mask.shape, *values.shape[1:]), values.dtype)
-        image[self.mask] = values
-        return image
+        return placed(values, self.mask)
 
 
 def angular_errors(

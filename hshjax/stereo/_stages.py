@@ -8,17 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float, Int
-from hshjax.bases._base import matmul
 from hshjax.stereo._chart import from_chart, to_chart
 from hshjax.stereo._history import Running
 from hshjax.stereo._lambertian import band_trust, scaled_normals
 from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
-from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine
+from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
 from hshjax.stereo._shading import ShadingTable
 from hshjax.stereo._trust import initial_trust, residual_scale
-from hshjax.stereo._weights import non_negative_weights
 
 
 def start(observations: Observations, done: Running) -> Float[np.ndarray, "pixels 2"]:
@@ -108,9 +106,7 @@ def _weigh_channels(table, colour, known, trust, pq) -> Float[Array, "n material
 
     def channel(given):
         values, known = given
-        weighted = (trust * known)[:, None] * shading
-        gram = matmul(weighted, jnp.swapaxes(shading, 1, 2))
-        return non_negative_weights(gram, matmul(weighted, values[..., None])[..., 0])[0]
+        return weigh(shading, values, trust * known)[0]
 
     channels = jnp.moveaxis(colour, 2, 0), jnp.moveaxis(known, 2, 0)
     return jnp.moveaxis(jax.lax.map(channel, channels), 0, 2)

@@ -77,7 +77,7 @@ def solve_uncalibrated(
         directions, normals = directions @ rotation.T, normals @ rotation.T
         done()
     with history.stage("lights", turns) as done:
-        chosen = np.sort(np.random.default_rng([seed, 2]).permutation(photographs.pixels)[:pixels])
+        chosen = observations.some(pixels, np.random.default_rng([seed, 2]))
         found = turned_lights(
             columns, materials, observations.pixels(chosen), to_chart(jnp.asarray(normals[chosen], jnp.float32)),
             directions, rounds=turns, stray=stray, done=done,

@@ -35,10 +35,11 @@ def sphere(size=48, roughness=0.25, radius=0.9):
     colours = intensity[:, None] * np.array([1.0, 0.9, 0.8])
     lamps = jax.vmap(DirectionalLight)(jnp.asarray(directions), jnp.asarray(colours))
     view = jnp.asarray([0.0, 0.0, 1.0])
-    shading = [
-        np.asarray(jax.vmap(lambda lamp: reflect(brdf, lamp, jnp.asarray(normals), view))(lamps))  # noqa: B023
-        for brdf in (Lambert(jnp.ones(())), GGX(jnp.ones(()), jnp.asarray(roughness)))
-    ]
+
+    def shaded(brdf):
+        return np.asarray(jax.vmap(lambda lamp: reflect(brdf, lamp, jnp.asarray(normals), view))(lamps))
+
+    shading = [shaded(brdf) for brdf in (Lambert(jnp.ones(())), GGX(jnp.ones(()), jnp.asarray(roughness)))]
     values = np.moveaxis(shading[0] * albedo[None] + 0.08 * shading[1], 0, 1)
     return Photographs(np.asarray(values, np.float32), mask, lamps, None, normals)
 
