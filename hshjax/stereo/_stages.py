@@ -1,5 +1,6 @@
 """The stages of a solution, tile by tile: a start, normals, normals handed on, reflectance."""
 
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -21,14 +22,21 @@ from hshjax.stereo._trust import initial_trust, residual_scale
 
 def start(observations: Observations, done: Running) -> Float[np.ndarray, "pixels 2"]:
     """Normals by Lambert's law on values of middle ranks, in the chart."""
-    pq = np.empty((observations.photographs.pixels, 2), np.float32)
+    scaled = jnp.asarray(band_normals(observations, observations.directions, done))
+    length = jnp.sqrt(jnp.sum(scaled * scaled, axis=1, keepdims=True))
+    towards = jnp.asarray([[0, 0, 1]], scaled.dtype)
+    return np.asarray(to_chart(jnp.where(length > 0, scaled / jnp.where(length > 0, length, 1), towards)))
+
+
+def band_normals(
+    observations: Observations, directions: Float[Array, "lights 3"], done: Callable[[], None] = lambda: None
+) -> Float[np.ndarray, "pixels 3"]:
+    """`scaled_normals` of values of middle ranks, under lights of these directions."""
+    scaled = np.empty((observations.photographs.pixels, 3), np.float32)
     for part, pixels in observations.tiles():
-        scaled = scaled_normals(pixels.values, band_trust(pixels.values, pixels.known), observations.directions)
-        length = jnp.sqrt(jnp.sum(scaled * scaled, axis=1, keepdims=True))
-        towards = jnp.asarray([[0, 0, 1]], scaled.dtype)
-        _keep(pq, part, to_chart(jnp.where(length > 0, scaled / jnp.where(length > 0, length, 1), towards)))
+        _keep(scaled, part, scaled_normals(pixels.values, band_trust(pixels.values, pixels.known), directions))
         done()
-    return pq
+    return scaled
 
 
 def refine_all(

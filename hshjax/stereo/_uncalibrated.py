@@ -14,10 +14,10 @@ from hshjax.stereo._columns import Column, default_columns
 from hshjax.stereo._contour import contour, turn
 from hshjax.stereo._factor import factored
 from hshjax.stereo._history import History, Progress
-from hshjax.stereo._lambertian import band_trust, scaled_normals
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._result import Stereo
 from hshjax.stereo._semi_calibrated import SOME, intensities, under
+from hshjax.stereo._stages import band_normals
 from hshjax.stereo._turned import turned_lights
 
 FEWEST = 8
@@ -72,7 +72,9 @@ def solve_uncalibrated(
         photographs = under(photographs, upwards, np.ones_like(begun) if equal else begun)
         observations = Observations(photographs, directed=False)
         directions = factored(observations.pixels(some))
-        normals = band_normals(observations, directions)
+        scaled = band_normals(observations, jnp.asarray(directions, jnp.float32)).astype(float)
+        length = np.linalg.norm(scaled, axis=1, keepdims=True)
+        normals = np.where(length > 0, scaled, [[0, 0, 1]]) / np.where(length > 0, length, 1)
         rotation = turn(normals, photographs.mask)
         directions, normals = directions @ rotation.T, normals @ rotation.T
         done()
@@ -90,14 +92,3 @@ def solve_uncalibrated(
         photographs, materials=materials, columns=columns, stray=stray, seed=seed, progress=progress, **options
     )
     return replace(solved, history=(*history.stages, *solved.history))
-
-
-def band_normals(observations: Observations, directions: np.ndarray) -> np.ndarray:
-    """Unit normals `(pixels, 3)` of Lambert's law on middle ranks, under lights of these directions."""
-    normals = np.empty((observations.photographs.pixels, 3))
-    for part, pixels in observations.tiles():
-        trust = band_trust(pixels.values, pixels.known)
-        scaled = scaled_normals(pixels.values, trust, jnp.asarray(directions, jnp.float32))
-        normals[part] = np.asarray(scaled)[: part.stop - part.start]
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 0, normals, [[0, 0, 1]]) / np.where(length > 0, length, 1)
