@@ -1,12 +1,13 @@
-"""Distant lights for synthetic photometric stereo, `LAYOUTS`; one kind of light whose leaves have a leading axis."""
+"""Lights for synthetic photometric stereo, `LAYOUTS`; one kind of light whose leaves have a leading axis."""
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax import DirectionalLight
+from hshjax import DirectionalLight, PointLight
 
 HALF_ANGLE = 45.0
 """Between the view and the corners of a patch [degrees]."""
@@ -32,9 +33,15 @@ def directional(count: int, layout: str = "patch", spread: float = 0.0, seed: in
     return jax.vmap(DirectionalLight)(jnp.asarray(towards), jnp.asarray(np.pi * np.exp(logarithm)))
 
 
-def separate(lights: DirectionalLight) -> list[DirectionalLight]:
+def nearby(lights: DirectionalLight, distance: float) -> PointLight:
+    """Points in these directions at this distance from the origin, of the same irradiance there."""
+    towards = lights.direction / jnp.linalg.norm(lights.direction, axis=1, keepdims=True)
+    return jax.vmap(PointLight)(distance * towards, distance**2 * lights.irradiance)
+
+
+def separate(lights: Any) -> list[Any]:
     """The lights one by one."""
-    return [jax.tree.map(lambda leaf, k=k: leaf[k], lights) for k in range(lights.direction.shape[0])]
+    return [jax.tree.map(lambda leaf, k=k: leaf[k], lights) for k in range(len(jax.tree.leaves(lights)[0]))]
 
 
 def patch(count: int, rng: np.random.Generator) -> np.ndarray:

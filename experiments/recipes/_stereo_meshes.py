@@ -1,9 +1,10 @@
 """Triangles with exact normals for synthetic photometric stereo: how they are made, what is seen of them, what is lit.
 
-World: x right, y up, z towards the camera, which is far away and sees [-1, 1]² of x and y.
+World: x right, y up, z towards the camera, which sees [-1, 1]² of x and y: from far away, or by a pinhole at z = 0.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import hshjax
-from hshjax import OrthographicCamera, Surface
+from hshjax import OrthographicCamera, PerspectiveCamera, Surface
+from hshjax.camera import AbstractCamera
 
 LEAST_COSINE = 0.05
 """Of a normal with the view: silhouettes that are seen more slantingly are no part of a mask."""
@@ -34,7 +36,7 @@ class Shape(NamedTuple):
     faces: np.ndarray
     normals: np.ndarray
     convex: bool = False
-    analytic: Callable[[OrthographicCamera], Surface] | None = None
+    analytic: Callable[[AbstractCamera], Surface] | None = None
 
 
 def camera(size: int) -> OrthographicCamera:
@@ -42,28 +44,47 @@ def camera(size: int) -> OrthographicCamera:
     return OrthographicCamera(jnp.asarray([0.0, 0.0, 1.0]), jnp.asarray([0.0, 1.0, 0.0]), resolution=(size, size))
 
 
-def seen(shape: Shape, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pinhole(size: int, distance: float) -> PerspectiveCamera:
+    """The same square in the plane z = 0, seen from `distance` above it."""
+    eye, target, up = jnp.asarray([0.0, 0.0, distance]), jnp.zeros(3), jnp.asarray([0.0, 1.0, 0.0])
+    return PerspectiveCamera(eye, target, up, field_of_view=2 * np.arctan(1 / distance), resolution=(size, size))
+
+
+def aimed(eye: OrthographicCamera | PerspectiveCamera, position: np.ndarray, off: float = 0.0) -> Any:
+    """The same camera, on +z, that tells the mean depth of what it sees at `position` `(pixels, 3)`: heights, or
+    logarithms of depths. `off`: how much farther away it says that to be."""
+    if isinstance(eye, OrthographicCamera):
+        return replace(eye, centre=jnp.asarray([0.0, 0.0, position[:, 2].mean() - off]))
+    height = float(eye.eye[2])
+    return replace(eye, target=jnp.asarray([0.0, 0.0, height - np.exp(np.log(height - position[:, 2]).mean()) - off]))
+
+
+def seen(shape: Shape, size: int, eye: AbstractCamera | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mask `(size, size)`, and unit normals and positions at the centres of its pixels, `(pixels, 3)` each.
+
+    `eye`: None for `camera(size)`.
 
     **Raises:** ValueError where no pixel sees the shape.
     """
-    eye = camera(size)
+    eye = camera(size) if eye is None else eye
     if shape.analytic is None:
         surface = hshjax.mesh(eye, shape.vertices, shape.faces, normals=shape.normals)
     else:
         surface = shape.analytic(eye)
-    mask = np.asarray(surface.normal)[..., 2] > LEAST_COSINE
+    mask = -np.sum(np.asarray(surface.normal) * np.asarray(eye.rays()[1]), axis=-1) > LEAST_COSINE
     if not mask.any():
         raise ValueError(f"none of {size} x {size} pixels sees the shape")
     return mask, np.asarray(surface.normal)[mask], np.asarray(surface.position)[mask]
 
 
 def visible(shape: Shape, normal: np.ndarray, position: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """Which points `(n, 3)` of a shape see light from directions `(lights, 3)`: `(n, lights)`, bool.
+    """Which points `(n, 3)` of a shape see light from directions `(lights, 3)`, or `(n, lights, 3)` to lights nearby
+    outside of its convex hull: `(n, lights)`, bool.
 
     False in attached shadows too. Rays are cast in float32.
     """
-    lit = normal @ towards.T > 0
+    towards = np.broadcast_to(towards, (len(normal), *towards.shape[-2:]))
+    lit = np.einsum("ni,nji->nj", normal, towards) > 0
     if shape.convex:
         return lit
     from embreex import mesh_construction, rtcore_scene
@@ -72,7 +93,7 @@ def visible(shape: Shape, normal: np.ndarray, position: np.ndarray, towards: np.
     mesh_construction.TriangleMesh(scene, shape.vertices.astype(np.float32), shape.faces.astype(np.int32))
     point, light = np.nonzero(lit)
     origin = (position + OFFSET * normal)[point]
-    hidden = scene.run(origin.astype(np.float32), towards[light].astype(np.float32)) >= 0
+    hidden = scene.run(origin.astype(np.float32), towards[point, light].astype(np.float32)) >= 0
     lit[point[hidden], light[hidden]] = False
     return lit
 

@@ -10,14 +10,25 @@ photographs as cameras do.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from experiments.recipes._stereo_lights import directional, separate
 from experiments.recipes._stereo_materials import Layer, Material, material
-from experiments.recipes._stereo_meshes import Shape, seen, visible
+from experiments.recipes._stereo_meshes import Shape, aimed, seen, visible
 from experiments.recipes._stereo_shapes import SHAPES
-from hshjax import DirectionalLight, MaskedLight, Scene, Surface, render
+from hshjax import (
+    DirectionalLight,
+    MaskedLight,
+    OrthographicCamera,
+    PerspectiveCamera,
+    PointLight,
+    Scene,
+    Surface,
+    render,
+)
+from hshjax.camera import AbstractCamera
 from hshjax.photographs import Photographs
 
 NAMES = (
@@ -35,7 +46,7 @@ MEASURED = (
 
 
 class View(NamedTuple):
-    """What the far camera sees of a shape: `mask` `(size, size)`; unit `normal` and `position` `(pixels, 3)`."""
+    """What the camera sees of a shape: `mask` `(size, size)`; unit `normal` and `position` `(pixels, 3)`."""
 
     mask: np.ndarray
     normal: np.ndarray
@@ -81,8 +92,10 @@ def parts(name: str, seed: int) -> tuple[Shape, Material]:
 def photographs(
     shape: Shape,
     material: Material,
-    lights: DirectionalLight,
+    lights: DirectionalLight | PointLight,
     *,
+    camera: OrthographicCamera | PerspectiveCamera | None = None,
+    off: float = 0.0,
     size: int = 96,
     shadows: bool = True,
     seed: int = 0,
@@ -90,24 +103,31 @@ def photographs(
 ) -> Photographs:
     """Radiance at the centres of pixels, without light from one part of the shape to another.
 
-    `seed` is that of colours and patches, `note` what the scene is called.
+    `seed` is that of colours and patches, `note` what the scene is called. `camera`: one nearby, or one that tells
+    where pixels are, as lights nearby ask for; None: far away. That of the photographs tells the mean depth, but for
+    an error: `off` farther away than it is.
     """
-    view = View(*seen(shape, size))
+    view = View(*seen(shape, size, camera))
     lamps = separate(lights)
     if shadows and not shape.convex:
-        towards = np.asarray(lights.direction)
-        lit = jnp.asarray(visible(shape, view.normal, view.position, towards), lights.direction.dtype)
+        if isinstance(lights, DirectionalLight):
+            towards = np.asarray(lights.direction)
+        else:
+            towards = np.asarray(lights.position) - view.position[:, None]
+        lit = jnp.asarray(visible(shape, view.normal, view.position, towards), jax.tree.leaves(lights)[0].dtype)
         lamps = [MaskedLight(lamp, lit[:, k : k + 1]) for k, lamp in enumerate(lamps)]
-    values = sum(_layer(layer, lamps, view, seed) for layer in material.layers)
+    values = sum(_layer(layer, lamps, view, camera, seed) for layer in material.layers)
+    told = None if camera is None else aimed(camera, view.position, off)
     cast = "with cast shadows" if shadows else "without cast shadows"
     notes = (f"synthetic, {note}: rendered {cast}, without interreflection",)
-    return Photographs(np.moveaxis(values, 0, 1), view.mask, lights, None, view.normal, notes)
+    return Photographs(np.moveaxis(values, 0, 1), view.mask, lights, told, view.normal, notes)
 
 
-def _layer(layer: Layer, lamps: list, view: View, seed: int) -> np.ndarray:
+def _layer(layer: Layer, lamps: list, view: View, camera: AbstractCamera | None, seed: int) -> np.ndarray:
     """What a layer adds to the radiance, `(lights, pixels, channels)`."""
     surface = Surface(view.normal, view.position)
-    radiance = np.asarray(render(Scene(layer.brdf, lamps, surface, jnp.asarray([0.0, 0.0, 1.0]))))
+    eye = jnp.asarray([0.0, 0.0, 1.0]) if camera is None else camera
+    radiance = np.asarray(render(Scene(layer.brdf, lamps, surface, eye)))
     if layer.share is None:
         return radiance
     # One generator for all layers of a material: their shares belong together.

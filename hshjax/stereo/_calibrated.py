@@ -13,7 +13,6 @@ from hshjax.stereo._learn import coefficients_of, learn
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import FAR, neighbours
 from hshjax.stereo._result import Stereo
-from hshjax.stereo._shading import shading_table
 from hshjax.stereo._stages import finish, hand_on, refine_all, start
 from hshjax.stereo._weights import LIMIT
 
@@ -61,26 +60,31 @@ def solve_calibrated(
             raise ValueError(f"{name} must be at least {least}, got {value}")
     columns = default_columns() if columns is None else columns
     observations, history = Observations(photographs), History(progress)
-    steps = observations.steps
+    steps, turns = observations.steps, observations.geometry.turns
     chosen = observations.some(pixels, np.random.default_rng(seed))
-    with history.stage("start", steps) as done:
+    with history.stage("start", steps * (1 + turns)) as done:
         if gains > 0:
-            some = observations.pixels(chosen)
-            single = single_gains(band_gains(some, observations.directions), np.asarray(observations.directions))
+            towards = observations.geometry.towards(chosen)
+            found = band_gains(observations.pixels(chosen), towards)
+            single = single_gains(found, np.asarray(towards).reshape(-1, photographs.count, 3).mean(axis=0))
             observations = observations.brighter(np.exp(single))
             done.figures["single"] = float(np.sum(single != 0))
         pq = start(observations, done)
+        for _ in range(turns):
+            observations = observations.moved(pq)
+            pq = start(observations, done)
     with history.stage("learn", rounds) as done:
-        table = shading_table(column_brdfs(columns), observations.directions)
-        guess = coefficients_of(table, shading_table(first_guess(materials), observations.directions))
+        geometry = observations.geometry
+        tables = geometry.tables(column_brdfs(columns))
+        guess = coefficients_of(tables, geometry.tables(first_guess(materials)))
         shared = learn(
-            table, guess, observations.pixels(chosen), jnp.asarray(pq[chosen]),
+            tables.of(geometry.towards(chosen)), guess, observations.pixels(chosen), jnp.asarray(pq[chosen]),
             positive=positive_columns(columns), rounds=rounds, stray=stray, gains=gains, done=done,
         )  # fmt: skip
         done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
     if gains > 0:
         observations = observations.brighter(np.exp(np.asarray(shared.gains)))
-    mixed = table.mixed(shared.coefficients)
+    mixed = tables.mixed(shared.coefficients)
     with history.stage("normals", steps) as done:
         pq = refine_all(observations, mixed, shared, pq, 4, 8, done)
     with history.stage("neighbours", steps * sweeps) as done:
@@ -93,5 +97,6 @@ def solve_calibrated(
         done.figures["outliers"] = float(np.mean(found["outliers"]))
     return Stereo(
         brdf=combined(columns, shared.coefficients), lights=observations.lights, stray=float(shared.stray),
-        mask=photographs.mask, history=tuple(history.stages), **found,
+        mask=photographs.mask, history=tuple(history.stages), camera=photographs.camera,
+        positions=observations.geometry.positions, **found,
     )  # fmt: skip

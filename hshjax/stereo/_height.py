@@ -7,6 +7,7 @@ import numpy as np
 
 from hshjax._typing import Bool, Float
 from hshjax.camera import PerspectiveCamera
+from hshjax.stereo._axes import camera_axes
 from hshjax.stereo._poisson import Edges, differences, solve
 
 TOLERANCE, ROUGHLY = 1e-10, 1e-6
@@ -72,9 +73,7 @@ def depth_from_normals(
     vectors, inside = _checked(normals, mask, distance, "distance")
     if inside.shape != camera.resolution:
         raise ValueError(f"normals must have the resolution of the camera, {camera.resolution}, got {inside.shape}")
-    # On the host in float64, whatever jax's default is.
-    eye, target, up = (np.asarray(leaf, float) for leaf in (camera.eye, camera.target, camera.up))
-    vectors = vectors @ _axes(eye - target, up).T
+    vectors = vectors @ camera_axes(camera).T
     rows, columns = inside.shape
     apart = 2 * np.tan(float(camera.field_of_view) / 2) / rows
     ray = np.empty((rows, columns, 3))
@@ -204,11 +203,3 @@ def _means(values: np.ndarray, inside: np.ndarray) -> Float[np.ndarray, "rows co
     means = np.bincount(numbers, values[inside]) / np.maximum(np.bincount(numbers), 1)
     result[inside] = means[numbers]
     return result
-
-
-def _axes(towards: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Right, up and towards the eye, as unit rows."""
-    back = towards / np.linalg.norm(towards)
-    right = np.cross(up, back)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(back, right), back])

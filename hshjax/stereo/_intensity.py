@@ -4,8 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
-from hshjax.bases._base import matmul
-from hshjax.stereo._lambertian import band_trust, scaled_normals
+from hshjax.stereo._lambertian import band_trust, cosines, scaled_normals
 from hshjax.stereo._learn import Pixels
 
 OF_PIXEL = 0.9
@@ -55,16 +54,18 @@ def light_colours(values: Float[np.ndarray, "pixels lights channels"]) -> Float[
     return colours / np.exp(np.mean(np.log(colours), axis=0))
 
 
-def band_gains(pixels: Pixels, directions: Float[Array, "lights 3"], rounds: int = 4) -> Float[np.ndarray, " lights"]:
+def band_gains(
+    pixels: Pixels, directions: Float[Array, "... lights 3"], rounds: int = 4
+) -> Float[np.ndarray, " lights"]:
     """Logarithms of gains, median 0: values of lit pixels over what Lambert's law on middle ranks predicts, in turns.
 
     **Raises:** ValueError for lights that reach no pixel.
     """
-    gains = np.zeros(len(directions))
+    gains = np.zeros(pixels.values.shape[1])
     for _ in range(rounds):
         given = pixels.under(jnp.asarray(gains, pixels.values.dtype))
         scaled = scaled_normals(given.values, band_trust(given.values, given.known), directions)
-        predicted = np.asarray(matmul(scaled, directions.T))
+        predicted = np.asarray(cosines(scaled, directions))
         lit = (predicted > LIT) & (np.asarray(given.known) > 0)
         if not np.all(np.any(lit, axis=0)):
             dark = (np.flatnonzero(~np.any(lit, axis=0)) + 1).tolist()

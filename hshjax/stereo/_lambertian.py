@@ -38,7 +38,9 @@ class Lambertian(NamedTuple):
 
 
 def lambertian(photographs: Photographs, method: Method = "band") -> Lambertian:
-    """Normals and albedo of a matte surface under known lights far away, by linear least squares in grey values.
+    """Normals and albedo of a matte surface under known lights, by linear least squares in grey values.
+
+    Lights or a camera nearby are taken as in `solve_calibrated`.
 
     - "least squares": of all values that are known, as Woodham had it. Shadows and highlights bend it.
     - "robust": of those that are not dark, outliers taken off in rounds by Tukey's biweight.
@@ -52,29 +54,40 @@ def lambertian(photographs: Photographs, method: Method = "band") -> Lambertian:
     if method not in get_args(Method):
         raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
     observations = Observations(photographs)
+    for _ in range(observations.geometry.turns):
+        normals = _everywhere(observations, method).normals
+        observations = observations.surfaced(np.where(np.isfinite(normals), normals, 0))
+    return _everywhere(observations, method)
+
+
+def _everywhere(observations: Observations, method: Method) -> Lambertian:
+    photographs = observations.photographs
     normals = np.empty((photographs.pixels, 3), np.float32)
     albedo = np.empty((photographs.pixels, photographs.channels), np.float32)
     for part, pixels in observations.tiles():
-        size = part.stop - part.start
-        trust, normal = _solved(pixels.values, pixels.known, observations.directions, method)
+        size, towards = part.stop - part.start, observations.towards(part)
+        trust, normal = _solved(pixels.values, pixels.known, towards, method)
         colour = observations.colour(part)
         known = observations.filled(np.isfinite(colour).astype(np.float32))
         colour = observations.filled(np.where(np.isfinite(colour), colour, 0))
-        normals[part] = np.asarray(normal)[:size]
-        albedo[part] = np.asarray(_albedo(colour, known, trust, normal, observations.directions))[:size]
+        normals[part] = observations.geometry.world(np.asarray(normal)[:size], part)
+        albedo[part] = np.asarray(_albedo(colour, known, trust, normal, towards))[:size]
     return Lambertian(normals, albedo)
 
 
 @eqx.filter_jit
 def _solved(
-    values: Float[Array, "n lights"], known: Float[Array, "n lights"], directions: Float[Array, "lights 3"], method: str
+    values: Float[Array, "n lights"],
+    known: Float[Array, "n lights"],
+    directions: Float[Array, "... lights 3"],
+    method: str,
 ) -> tuple[Float[Array, "n lights"], Float[Array, "n 3"]]:
     """The trust that is left in values, and unit normals; NaN where there is none."""
     if method == "robust":
         plain = initial_trust(values, known)
 
         def reweighted(_, trust):
-            return robust_trust(values - scaled_normals(values, trust, directions) @ directions.T, plain)
+            return robust_trust(values - cosines(scaled_normals(values, trust, directions), directions), plain)
 
         trust = jax.lax.fori_loop(0, ROUNDS, reweighted, plain)
     else:
@@ -86,20 +99,34 @@ def _solved(
 @eqx.filter_jit
 def _albedo(colour, known, trust, normal, directions) -> Float[Array, "n channels"]:
     """π Σ trust I (n·l) / Σ trust (n·l)²: radiance of unit irradiance is albedo / π times the cosine."""
-    cosine = jnp.maximum(normal @ directions.T, 0)[..., None]
+    cosine = jnp.maximum(cosines(normal, directions), 0)[..., None]
     weight = trust[..., None] * known
     return jnp.pi * jnp.sum(weight * colour * cosine, axis=1) / jnp.sum(weight * cosine**2, axis=1)
 
 
 @eqx.filter_jit
 def scaled_normals(
-    values: Float[Array, "n lights"], trust: Float[Array, "n lights"], directions: Float[Array, "lights 3"]
+    values: Float[Array, "n lights"], trust: Float[Array, "n lights"], directions: Float[Array, "... lights 3"]
 ) -> Float[Array, "n 3"]:
-    """b = albedo x normal, of least Σ_j trust (values - b·l_j)²; (0, 0, 0) where lights with trust span no space."""
-    products = (directions[:, :, None] * directions[:, None, :]).reshape(-1, 9)
-    gram, moment = matmul(trust, products).reshape(-1, 3, 3), matmul(trust * values, directions)
+    """b = albedo x normal, of least Σ_j trust (values - b·l_j)²; (0, 0, 0) where lights with trust span no space.
+
+    - `directions`: of all pixels, or `(n, lights, 3)`.
+    """
+    if directions.ndim == 2:
+        products = (directions[:, :, None] * directions[:, None, :]).reshape(-1, 9)
+        gram, moment = matmul(trust, products).reshape(-1, 3, 3), matmul(trust * values, directions)
+    else:
+        weighted = jnp.swapaxes(trust[..., None] * directions, 1, 2)
+        gram, moment = matmul(weighted, directions), matmul(weighted, values[..., None])[..., 0]
     found = jnp.stack(solve([[gram[:, i, j] for j in range(3)] for i in range(3)], list(moment.T)), axis=1)
     return jnp.where(jnp.all(jnp.isfinite(found), axis=1, keepdims=True), found, 0)
+
+
+def cosines(normals: Float[Array, "n 3"], directions: Float[Array, "... lights 3"]) -> Float[Array, "n lights"]:
+    """b·l_j, for directions of all pixels or of each."""
+    if directions.ndim == 2:
+        return matmul(normals, directions.T)
+    return matmul(directions, normals[..., None])[..., 0]
 
 
 @eqx.filter_jit

@@ -14,7 +14,7 @@ import numpy as np
 from hshjax._typing import Array, Bool, Float
 from hshjax.bases._base import matmul
 from hshjax.stereo._refine import Estimate, predicted, refine, robust_refine
-from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._shading import ShadingTable, ShadingTables
 from hshjax.stereo._system import System
 from hshjax.stereo._trust import initial_trust, robust_trust
 
@@ -217,7 +217,7 @@ def light_blocks(shared, slopes, trust, residual) -> tuple[Array, Array, Array]:
 
 
 def coefficients_of(
-    columns: ShadingTable, materials: ShadingTable, ridge: float = 1e-5
+    columns: ShadingTables, materials: ShadingTables, ridge: float = 1e-5
 ) -> Float[Array, "materials columns"]:
     """The combinations of columns that are nearest to given materials, over all nodes and lights of their tables."""
     rows, wanted = _rows(columns), _rows(materials)
@@ -226,12 +226,12 @@ def coefficients_of(
     return jnp.asarray(np.linalg.solve(gram, rows @ wanted.T).T, columns.values.dtype)
 
 
-def squares(columns: ShadingTable) -> Float[np.ndarray, "columns columns"]:
+def squares(columns: ShadingTables) -> Float[np.ndarray, "columns columns"]:
     """Mean products of columns over all nodes and lights of their table."""
     rows = _rows(columns)
     return rows @ rows.T / rows.shape[1]
 
 
-def _rows(table: ShadingTable) -> np.ndarray:
+def _rows(table: ShadingTables) -> np.ndarray:
     """A row for each column, over nodes and lights, in float64."""
-    return np.asarray(jnp.moveaxis(table.values, 1, 0), np.float64).reshape(table.values.shape[1], -1)
+    return np.asarray(table.rows(), np.float64)

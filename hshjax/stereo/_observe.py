@@ -3,14 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float, Int
-from hshjax.lighting import DirectionalLight
+from hshjax.lighting import DirectionalLight, PointLight
 from hshjax.photographs import LUMA, Photographs
+from hshjax.stereo._chart import from_chart
+from hshjax.stereo._geometry import Far, Geometry
 from hshjax.stereo._learn import Pixels
+from hshjax.stereo._near import Near
+from hshjax.stereo._strength import strengths, with_strengths
 from hshjax.stereo._trust import brightness
 
 TILE = 8192
@@ -22,45 +25,65 @@ STEP = 512
 PLANE = 1e-3
 """Least singular value of the directions of lights."""
 
+SOME = 64
+"""Pixels that stand for all where it is looked at."""
+
 
 class Observations:
-    """Grey values of photographs under known lights far away, tile by tile.
+    """Grey values of photographs under known lights, tile by tile.
 
     - `directed`: False where directions of lights stand for nothing.
-    - `lights`; their `directions` `(lights, 3)`: unit, float32. - `brightness` `(pixels, 1)`.
-    - `seen` `(pixels,)`: whether any value above 0 is known.
-    - `mean` `(lights, channels)`: radiance of unit irradiance, of all pixels where it is known.
+    - `geometry`: from where pixels are lit and seen; None: of photographs as they are, pixels nearby on a plane.
+    - `brightness` `(pixels, 1)`. - `seen` `(pixels,)`: whether any value above 0 is known.
+    - `mean` `(lights, channels)`: of photographs, over all pixels where they are known.
 
-    **Raises:** ValueError for lights that are unknown or near, a camera nearby, fewer than three photographs,
-    directions that span no space, and photographs of which nothing is known.
+    **Raises:** ValueError for lights that are unknown, or nearby without a camera that knows where pixels are, fewer
+    than three photographs, directions that span no space, and photographs of which nothing is known.
     """
 
-    def __init__(self, photographs: Photographs, *, directed: bool = True):
+    def __init__(self, photographs: Photographs, *, directed: bool = True, geometry: Geometry | None = None):
         self.photographs = photographs
-        self.lights, directions, self._irradiance = _lights(photographs, directed)
-        self.directions = jnp.asarray(directions, jnp.float32)
+        self.geometry = geometry_of(photographs) if geometry is None else geometry
+        if directed:
+            _check_space(self.geometry, photographs.pixels)
         count = photographs.pixels
         self.brightness = np.empty((count, 1), np.float32)
         self.seen = np.empty(count, bool)
         total = np.zeros((photographs.count, photographs.channels))
         known = np.zeros_like(total)
         for part in self.slices():
-            values = self.colour(part)
-            shades = grey(values)
+            shades = grey(self.colour(part))
             self.brightness[part] = brightness(shades)
             self.seen[part] = np.any(shades > 0, axis=1)
+            values = photographs.values[part]
             total += np.nansum(values, axis=0, dtype=float)
             known += np.sum(~np.isnan(values), axis=0)
         if not np.all(known):
             blind = (np.flatnonzero(~np.all(known, axis=1)) + 1).tolist()
             raise ValueError(f"nothing is known of any pixel in photographs {blind}: leave them out")
-        self.mean = (total / known).astype(np.float32)
+        self.mean = total / known
+
+    @property
+    def lights(self) -> DirectionalLight | PointLight:
+        """As they are now."""
+        lights = self.photographs.lights
+        assert isinstance(lights, DirectionalLight | PointLight)  # else there was no geometry
+        return lights
 
     def brighter(self, factors: Float[np.ndarray, " lights"]) -> "Observations":
         """Of the same photographs, under lights whose irradiance is multiplied."""
-        given = jnp.asarray(factors, self.lights.irradiance.dtype)
-        scaled = jax.vmap(lambda light, factor: replace(light, irradiance=light.irradiance * factor))
-        return Observations(replace(self.photographs, lights=scaled(self.lights, given)))
+        lights = with_strengths(self.lights, strengths(self.lights) * factors[:, None])
+        photographs = replace(self.photographs, lights=lights)
+        return Observations(photographs, geometry=geometry_of(photographs, self.geometry.positions))
+
+    def moved(self, pq: Float[np.ndarray, "pixels 2"]) -> "Observations":
+        """Of the same photographs, pixels on the surface of these normals: the same where all is far away."""
+        return self.surfaced(self.geometry.world(np.asarray(from_chart(jnp.asarray(pq))), slice(None)))
+
+    def surfaced(self, normals: Float[np.ndarray, "pixels 3"]) -> "Observations":
+        """The same of normals in the world; (0, 0, 0) where there is none."""
+        moved = self.geometry.moved(normals)
+        return self if moved is self.geometry else Observations(self.photographs, geometry=moved)
 
     def some(self, count: int, random: np.random.Generator) -> Int[np.ndarray, " n"]:
         """Numbers of `count` pixels at most that are `seen`, to learn from: one of which nothing is known leaves no
@@ -93,12 +116,21 @@ class Observations:
         values = grey(self.colour(part)) / self.brightness[part]
         known = np.isfinite(values)
         filled = jnp.asarray(np.where(known, values, 0), jnp.float32)
-        stray = jnp.asarray(grey(self.mean) / self.brightness[part], jnp.float32)
+        stray = jnp.asarray(grey(self.stray(part)) / self.brightness[part], jnp.float32)
         return Pixels(filled, jnp.asarray(known, jnp.float32), stray)
 
     def colour(self, part: slice | np.ndarray) -> Float[np.ndarray, "n lights channels"]:
         """Radiance of unit irradiance in all channels."""
-        return np.asarray(self.photographs.values[part] / self._irradiance, np.float32)
+        return np.asarray(self.photographs.values[part] / self.geometry.irradiance(part), np.float32)
+
+    def stray(self, part: slice | np.ndarray) -> Float[np.ndarray, "... lights channels"]:
+        """`mean` as if it were light of the photograph's lamp, at unit irradiance: of all pixels, or of each."""
+        return np.asarray(self.mean / self.geometry.irradiance(part), np.float32)
+
+    def towards(self, part: slice) -> Float[Array, "... lights 3"]:
+        """Unit vectors to the lights, in frames of the pixels of a tile: `(lights, 3)` for all, or for each."""
+        towards = self.geometry.towards(part)
+        return towards if towards.ndim == 2 else self.filled(towards)
 
 
 def grey(values: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*batch"]:
@@ -107,24 +139,31 @@ def grey(values: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*ba
     return values @ np.asarray(LUMA if channels == 3 else [1 / channels] * channels, np.float32)
 
 
-def _lights(photographs: Photographs, directed: bool) -> tuple[DirectionalLight, np.ndarray, np.ndarray]:
-    """The lights, unit directions `(lights, 3)` and irradiance `(lights, 1 or channels)`, float32."""
-    lights = photographs.lights
-    if not isinstance(lights, DirectionalLight):
+def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3"] | None = None) -> Geometry:
+    """From where pixels are lit and seen. `positions`: of pixels, where that depends on them; None: on a plane."""
+    lights, camera = photographs.lights, photographs.camera
+    if not isinstance(lights, DirectionalLight | PointLight):
         kind = "none" if lights is None else type(lights).__name__
-        raise ValueError(f"photographs need known lights far away (DirectionalLight), got {kind}")
-    if photographs.camera is not None and photographs.camera.needs_positions:
-        raise ValueError("the camera must be far away, got one that sees points from different directions")
+        raise ValueError(f"photographs need known lights, DirectionalLight or PointLight, got {kind}")
     if photographs.count < 3:
         raise ValueError(f"fewer than three photographs do not determine normals, got {photographs.count}")
-    directions = np.asarray(lights.direction, float)
-    length = np.linalg.norm(directions, axis=1, keepdims=True)
-    if not np.all(np.isfinite(length) & (length > 0)):
-        raise ValueError("directions of lights must be finite and not zero")
-    directions = directions / length
-    if directed and np.linalg.svd(directions, compute_uv=False)[-1] < PLANE:
-        raise ValueError("the directions of the lights lie in a plane: normals are not determined")
-    irradiance = np.asarray(lights.irradiance, np.float32).reshape(photographs.count, -1)
-    if not np.all(np.isfinite(irradiance) & (irradiance > 0)):
+    strength = strengths(lights)
+    if not np.all(np.isfinite(strength) & (strength > 0)):
         raise ValueError("the irradiance of every light must be above 0: leave out photographs without light")
-    return lights, directions, irradiance
+    if isinstance(lights, DirectionalLight) and (camera is None or not camera.needs_positions):
+        return Far(lights, camera)
+    if camera is None:
+        raise ValueError(
+            "lights nearby need a camera that says where pixels are: an OrthographicCamera with the height of the "
+            "image, or a PerspectiveCamera"
+        )
+    if camera.resolution != photographs.mask.shape:
+        raise ValueError(f"the camera must have the resolution of the mask, {photographs.mask.shape}, got {camera}")
+    return Near(lights, camera, photographs.mask, positions)
+
+
+def _check_space(geometry: Geometry, pixels: int) -> None:
+    """ValueError where lights lie in a plane, as seen from each of some pixels."""
+    some = geometry.towards(slice(None, None, -(-pixels // SOME)))
+    if np.max(np.linalg.svd(np.asarray(some, float), compute_uv=False)[..., -1]) < PLANE:
+        raise ValueError("the directions of the lights lie in a plane: normals are not determined")

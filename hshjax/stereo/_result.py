@@ -5,6 +5,7 @@ import numpy as np
 
 from hshjax._typing import Array, Bool, Float
 from hshjax.brdfs import AbstractBRDF
+from hshjax.camera import AbstractCamera
 from hshjax.lighting import AbstractLighting
 from hshjax.photographs import placed
 from hshjax.stereo._history import Stage
@@ -13,7 +14,7 @@ from hshjax.stereo._history import Stage
 class Stereo(eqx.Module):
     """Normals, reflectance and lights of an object, from photographs. Host arrays of the pixels of the mask.
 
-    - `normals` `(pixels, 3)`: unit, in the world of the camera (x right, y up, z towards it).
+    - `normals` `(pixels, 3)`: unit, in the world: of a camera far away, x right, y up, z towards it.
     - `weights` `(pixels, materials, channels)`: how much of each material of `brdf` a pixel has; >= 0.
     - `brdf`: reciprocal, a channel for each material [sr^-1, up to a factor: the scale of photographs is arbitrary].
     - `lights`: as they were given, or as they were found.
@@ -22,7 +23,9 @@ class Stereo(eqx.Module):
       it is small. It knows nothing of light from other parts of the object. Infinite where nothing is determined.
     - `outliers` `(pixels, lights)`: known values that fit neither shading nor shadow, and count for nothing.
       `shadows`: dark values, which were not looked at.
-    - `mask` `(rows, columns)`. - `history`: the stages of the solution.
+    - `mask` `(rows, columns)`. - `history`: the stages of the solution. - `camera`: that of the photographs.
+    - `positions` `(pixels, 3)`: of the surface, in the world, where lights or camera are nearby; else None, and
+      `height_from_normals` tells heights.
     """
 
     normals: Float[np.ndarray, "pixels 3"]
@@ -35,6 +38,8 @@ class Stereo(eqx.Module):
     shadows: Bool[np.ndarray, "pixels lights"]
     mask: Bool[np.ndarray, "rows columns"]
     history: tuple[Stage, ...]
+    camera: AbstractCamera | None = None
+    positions: Float[np.ndarray, "pixels 3"] | None = None
 
     def image(self, values: Float[np.ndarray, "pixels ..."]) -> Float[np.ndarray, "rows columns ..."]:
         """Values of the pixels in their places, 0 elsewhere."""

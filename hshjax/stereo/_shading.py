@@ -3,6 +3,7 @@
 Tabulated over the chart of normals, every BRDF costs the same a pixel: four rows of a table.
 """
 
+import abc
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -17,8 +18,46 @@ from hshjax.reflectance import reflect
 from hshjax.stereo._chart import grid
 
 
-class ShadingTable(eqx.Module):
-    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light.
+class ShadingTables(eqx.Module):
+    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light: `values`
+    at nodes."""
+
+    values: eqx.AbstractVar[Float[Array, "..."]]
+
+    @property
+    @abc.abstractmethod
+    def columns(self) -> int:
+        """Number of columns."""
+
+    @abc.abstractmethod
+    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTables":
+        """Of linear combinations of the columns."""
+
+    @abc.abstractmethod
+    def rows(self) -> Float[Array, "columns samples"]:
+        """Of each column, so that sums of products are those over nodes and lights, up to a factor."""
+
+    @abc.abstractmethod
+    def of(self, towards: Float[Array, "... lights 3"]) -> "ShadingTable":
+        """The table of some pixels. `towards`: unit vectors to the lights, in the frame of each pixel's view."""
+
+
+class ShadingTable(ShadingTables):
+    """Shading of some pixels, or of all where it is the same for all."""
+
+    @abc.abstractmethod
+    def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
+        """At normals of the pixels, in the chart about their view: linear between nodes."""
+
+    @abc.abstractmethod
+    def with_slope(
+        self, pq: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
+        """The same, and its derivative in p and q."""
+
+
+class FarTable(ShadingTable):
+    """Shading under lights and view that all pixels share.
 
     - `values` `(size², columns, lights)`: at the nodes of `grid(size)`.
     """
@@ -26,15 +65,23 @@ class ShadingTable(eqx.Module):
     values: Float[Array, "nodes columns lights"]
     size: int = eqx.field(static=True)
 
+    @property
+    def columns(self) -> int:
+        return self.values.shape[1]
+
+    def of(self, towards: Float[Array, "... lights 3"]) -> "FarTable":
+        return self
+
+    def rows(self) -> Float[Array, "columns samples"]:
+        return jnp.moveaxis(self.values, 1, 0).reshape(self.columns, -1)
+
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
-        """Bilinear between nodes."""
         corners, u, v = self._cell(pq)
         return _between(_between(corners[0], corners[1], v), _between(corners[2], corners[3], v), u)
 
     def with_slope(
         self, pq: Float[Array, "n 2"]
     ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
-        """The same, and its derivative in p and q."""
         corners, u, v = self._cell(pq)
         left, right = _between(corners[0], corners[1], v), _between(corners[2], corners[3], v)
         along_p = right - left
@@ -42,11 +89,9 @@ class ShadingTable(eqx.Module):
         cells = (self.size - 1) / 2
         return _between(left, right, u), jnp.stack([along_p, along_q], axis=1) * cells
 
-    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTable":
-        """The table of linear combinations of the columns."""
-        values = matmul(coefficients, jnp.moveaxis(self.values, 1, 0).reshape(self.values.shape[1], -1))
-        values = values.reshape(coefficients.shape[0], self.values.shape[0], -1)
-        return ShadingTable(jnp.moveaxis(values, 0, 1), self.size)
+    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "FarTable":
+        values = matmul(coefficients, self.rows()).reshape(coefficients.shape[0], self.values.shape[0], -1)
+        return FarTable(jnp.moveaxis(values, 0, 1), self.size)
 
     def _cell(self, pq: Array) -> tuple[list[Array], Array, Array]:
         """Rows at the corners (0, 0), (0, 1), (1, 0), (1, 1) of the cells that points lie in, and where in them."""
@@ -65,7 +110,7 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 
 
 @eqx.filter_jit
-def shading_table(brdfs: Sequence[AbstractBRDF], directions: Float[Array, "lights 3"], size: int = 129) -> ShadingTable:
+def shading_table(brdfs: Sequence[AbstractBRDF], directions: Float[Array, "lights 3"], size: int = 129) -> FarTable:
     """The table of all channels of some isotropic BRDFs, one after the other, for a view along +z.
 
     `directions`: towards the lights, in the world of the camera. In their dtype.
@@ -77,4 +122,4 @@ def shading_table(brdfs: Sequence[AbstractBRDF], directions: Float[Array, "light
         light = DirectionalLight(direction, jnp.ones((), directions.dtype))
         return jnp.concatenate([reflect(brdf, light, normals, view) for brdf in brdfs], axis=1)
 
-    return ShadingTable(jnp.moveaxis(jax.lax.map(under, directions), 0, 2), size)
+    return FarTable(jnp.moveaxis(jax.lax.map(under, directions), 0, 2), size)

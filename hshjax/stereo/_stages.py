@@ -16,31 +16,32 @@ from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
 from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
-from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._shading import ShadingTable, ShadingTables
 from hshjax.stereo._trust import initial_trust, residual_scale
 
 
 def start(observations: Observations, done: Running) -> Float[np.ndarray, "pixels 2"]:
     """Normals by Lambert's law on values of middle ranks, in the chart."""
-    scaled = jnp.asarray(band_normals(observations, observations.directions, done))
+    scaled = jnp.asarray(band_normals(observations, None, done))
     length = jnp.sqrt(jnp.sum(scaled * scaled, axis=1, keepdims=True))
     towards = jnp.asarray([[0, 0, 1]], scaled.dtype)
     return np.asarray(to_chart(jnp.where(length > 0, scaled / jnp.where(length > 0, length, 1), towards)))
 
 
 def band_normals(
-    observations: Observations, directions: Float[Array, "lights 3"], done: Callable[[], None] = lambda: None
+    observations: Observations, directions: Float[Array, "lights 3"] | None, done: Callable[[], None] = lambda: None
 ) -> Float[np.ndarray, "pixels 3"]:
-    """`scaled_normals` of values of middle ranks, under lights of these directions."""
+    """`scaled_normals` of values of middle ranks, under lights of these directions; None: of those that are known."""
     scaled = np.empty((observations.photographs.pixels, 3), np.float32)
     for part, pixels in observations.tiles():
-        _keep(scaled, part, scaled_normals(pixels.values, band_trust(pixels.values, pixels.known), directions))
+        towards = observations.towards(part) if directions is None else directions
+        _keep(scaled, part, scaled_normals(pixels.values, band_trust(pixels.values, pixels.known), towards))
         done()
     return scaled
 
 
 def refine_all(
-    observations: Observations, table: ShadingTable, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
+    observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
     rounds: int, steps: int, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
     """Every normal from where it is, outliers found in rounds."""
@@ -48,6 +49,7 @@ def refine_all(
     for part, pixels in observations.tiles():
         values = pixels.without(shared.stray)
         plain = initial_trust(values, pixels.known)
+        table = tables.of(observations.towards(part))
         estimate, _ = robust_refine(table, values, plain, observations.filled(pq[part]), rounds, steps)
         _keep(found, part, estimate.pq)
         done()
@@ -55,7 +57,7 @@ def refine_all(
 
 
 def hand_on(
-    observations: Observations, table: ShadingTable, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
+    observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
     near: Int[np.ndarray, "pixels 8"], far: Int[np.ndarray, "pixels 8"], smoothness: float, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
     """Normals taken over from other pixels, all at once: a sweep.
@@ -67,8 +69,12 @@ def hand_on(
         values = pixels.without(shared.stray)
         plain = initial_trust(values, pixels.known)
         own, there = pq[part], near[part] >= 0
-        others = [np.where(number[..., None] >= 0, pq[number], own[:, None]) for number in (near[part], far[part])]
+        others = [
+            np.where(number[..., None] >= 0, observations.geometry.carried(pq, number, part), own[:, None])
+            for number in (near[part], far[part])
+        ]
         own, near_pq, far_pq, exists = (observations.filled(array) for array in (own, *others, there))
+        table = tables.of(observations.towards(part))
         _keep(found, part, _hand_on(table, values, plain, own, near_pq, far_pq, exists, weight))
         done()
     return found
@@ -82,10 +88,10 @@ def _hand_on(table, values, plain, pq, near, far, there, smoothness):
 
 
 def finish(
-    observations: Observations, table: ShadingTable, shared: Shared, pq: Float[np.ndarray, "pixels 2"], done: Running
+    observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"], done: Running
 ) -> dict[str, Any]:
     """Normals, weights in all channels, deviations, outliers and shadows."""
-    photographs, materials = observations.photographs, table.values.shape[1]
+    photographs, materials = observations.photographs, tables.columns
     count, lights, channels = photographs.values.shape
     normals, deviation = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     weights = np.empty((count, materials, channels), np.float32)
@@ -93,10 +99,15 @@ def finish(
     for part, pixels in observations.tiles():
         values = pixels.without(shared.stray)
         plain = initial_trust(values, pixels.known)
+        table = tables.of(observations.towards(part))
         estimate, trust = robust_refine(table, values, plain, observations.filled(pq[part]), 4, 0)
-        _keep(normals, part, from_chart(estimate.pq))
+        _keep(
+            normals,
+            part,
+            observations.geometry.world(np.asarray(from_chart(estimate.pq))[: part.stop - part.start], part),
+        )
         _keep(deviation, part, predicted_deviation(table, values, trust, estimate))
-        colour = observations.colour(part) - float(shared.stray) * observations.mean
+        colour = observations.colour(part) - float(shared.stray) * observations.stray(part)
         known = np.isfinite(colour)
         both = observations.filled(np.where(known, colour, 0)), observations.filled(known.astype(np.float32))
         _keep(weights, part, _weigh_channels(table, *both, trust, estimate.pq))
@@ -139,5 +150,5 @@ def predicted_deviation(
     return jnp.where(determined, turn * jnp.sqrt(jnp.where(determined, mean, 0)), jnp.inf)
 
 
-def _keep(target: np.ndarray, part: slice, tile: Array) -> None:
+def _keep(target: np.ndarray, part: slice, tile: Array | np.ndarray) -> None:
     target[part] = np.asarray(tile)[: part.stop - part.start]

@@ -161,7 +161,7 @@ def lit_by(photographs, directions):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda p: eqx.tree_at(lambda q: q.lights, p, None), "known lights far away .* got none"),
+        (lambda p: eqx.tree_at(lambda q: q.lights, p, None), "known lights, .* got none"),
         (lambda p: lit_by(p, np.tile([[0, 0, 1.0]], (6, 1))), "in a plane"),
         (lambda p: lit_by(p, np.zeros((6, 3))), "finite and not zero"),
         (lambda p: eqx.tree_at(lambda q: q.lights.irradiance, p, jnp.zeros(6)), "irradiance .* above 0"),
