@@ -60,9 +60,9 @@ def solve_calibrated(
             raise ValueError(f"{name} must be at least {least}, got {value}")
     columns = default_columns() if columns is None else columns
     observations, history = Observations(photographs), History(progress)
-    steps, turns = observations.steps, observations.geometry.turns
+    steps, starts = observations.steps, observations.geometry.starts
     chosen = observations.some(pixels, np.random.default_rng(seed))
-    with history.stage("start", steps * (1 + turns)) as done:
+    with history.stage("start", steps * (1 + starts)) as done:
         if gains > 0:
             towards = observations.geometry.towards(chosen)
             found = band_gains(observations.pixels(chosen), towards)
@@ -70,29 +70,33 @@ def solve_calibrated(
             observations = observations.brighter(np.exp(single))
             done.figures["single"] = float(np.sum(single != 0))
         pq = start(observations, done)
-        for _ in range(turns):
+        for _ in range(starts):
             observations = observations.moved(pq)
             pq = start(observations, done)
-    with history.stage("learn", rounds) as done:
-        geometry = observations.geometry
-        tables = geometry.tables(column_brdfs(columns))
-        guess = coefficients_of(tables, geometry.tables(first_guess(materials)))
-        shared = learn(
-            tables.of(geometry.towards(chosen)), guess, observations.pixels(chosen), jnp.asarray(pq[chosen]),
-            positive=positive_columns(columns), rounds=rounds, stray=stray, gains=gains, done=done,
-        )  # fmt: skip
-        done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
-    if gains > 0:
-        observations = observations.brighter(np.exp(np.asarray(shared.gains)))
-    mixed = tables.mixed(shared.coefficients)
-    with history.stage("normals", steps) as done:
-        pq = refine_all(observations, mixed, shared, pq, 4, 8, done)
+    for turn in range(observations.geometry.passes):
+        if turn:
+            observations = observations.moved(pq)
+        with history.stage("learn", rounds) as done:
+            geometry, some = observations.geometry, observations.pixels(chosen)
+            tables = geometry.tables(column_brdfs(columns))
+            guess = coefficients_of(tables, geometry.tables(first_guess(materials)))
+            shared = learn(
+                tables.of(geometry.towards(chosen)), guess, some, jnp.asarray(pq[chosen]),
+                positive=positive_columns(columns), rounds=rounds, stray=stray, gains=gains, done=done,
+            )  # fmt: skip
+            done.figures |= {"stray": float(shared.stray), "noise": shared.noise}
+        if gains > 0:
+            observations = observations.brighter(np.exp(np.asarray(shared.gains)))
+        mixed = tables.mixed(shared.coefficients)
+        with history.stage("normals", steps) as done:
+            pq = refine_all(observations, mixed, shared, pq, 4, 8, done)
     with history.stage("neighbours", steps * sweeps) as done:
         near, amount = neighbours(photographs.mask), smoothness * shared.noise**0.5
         for sweep in range(sweeps):
             far = neighbours(photographs.mask, FAR[sweep % len(FAR)])
             pq = hand_on(observations, mixed, shared, pq, near, far, amount, done)
     with history.stage("reflectance", steps) as done:
+        observations = observations.moved(pq)
         found = finish(observations, mixed, shared, pq, done)
         done.figures["outliers"] = float(np.mean(found["outliers"]))
     return Stereo(

@@ -23,11 +23,13 @@ class Geometry(abc.ABC):
     """Directions and strength of light at pixels.
 
     - `positions` `(pixels, 3)`: in the world; None where lights and camera are far away.
-    - `turns`: how often positions are worth finding anew from normals, before materials are learned.
+    - `starts`: how often positions are found anew from normals by Lambert's law. - `passes`: how often materials are
+      learned, positions found anew before each but the first.
     """
 
     positions: Float[np.ndarray, "pixels 3"] | None
-    turns: int
+    starts: int
+    passes: int
 
     @abc.abstractmethod
     def towards(self, part: Part) -> Float[Array, "... lights 3"]:
@@ -62,7 +64,7 @@ class Far(Geometry):
     **Raises:** ValueError for directions that are zero or not finite.
     """
 
-    positions, turns = None, 0
+    positions, starts, passes = None, 0, 1
 
     def __init__(self, lights: Lights, camera):
         directions = np.asarray(lights.direction, float)

@@ -54,7 +54,7 @@ def lambertian(photographs: Photographs, method: Method = "band") -> Lambertian:
     if method not in get_args(Method):
         raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
     observations = Observations(photographs)
-    for _ in range(observations.geometry.turns):
+    for _ in range(observations.geometry.starts):
         normals = _everywhere(observations, method).normals
         observations = observations.surfaced(np.where(np.isfinite(normals), normals, 0))
     return _everywhere(observations, method)

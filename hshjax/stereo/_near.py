@@ -32,7 +32,7 @@ class Near(Geometry):
     **Raises:** ValueError for a light within the surface: nearer to a pixel than its neighbours are.
     """
 
-    turns = 3
+    starts, passes = 3, 2
 
     def __init__(
         self, lights: Lights, camera: OrthographicCamera | PerspectiveCamera, mask: Bool[np.ndarray, "rows columns"],
