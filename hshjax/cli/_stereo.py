@@ -23,7 +23,7 @@ def stereo(
     path: Annotated[
         Path,
         typer.Argument(
-            help="Photographs of one object by a camera that stands still, each under one light far away: a folder in "
+            help="Photographs of one object by a camera that stands still, each under one light: a folder in "
             "the layout of DiLiGenT, a folder of images with a light file (*.lp), that file, an archive .npz, or an "
             "OpenEXR image of many layers. See docs/photographs.md."
         ),
@@ -50,9 +50,20 @@ def stereo(
     near: Annotated[
         float | None,
         typer.Option(
-            help="The light file's vectors, times this, are positions of lights nearby [unit of the scene]. They are "
-            "read, but every solver of this version asks for lights far away."
+            help="The light file's vectors, times this, are positions of lights nearby [unit of the scene]; their origin "
+            "is where the middle of the image meets the object's mean depth. Wants --image-height."
         ),
+    ] = None,
+    image_height: Annotated[
+        float | None,
+        typer.Option(
+            help="What the image spans from top to bottom at the object's mean depth [unit of the scene]. With lights "
+            "or a camera nearby [default: its pixels, where only the camera is nearby]."
+        ),
+    ] = None,
+    field_of_view: Annotated[
+        float | None,
+        typer.Option(help="Of a camera nearby, from top to bottom of the image [degrees]; else it is far away."),
     ] = None,
     convention: Annotated[
         Literal["opengl", "directx", "camera"],
@@ -91,26 +102,28 @@ def stereo(
 
     More is in docs/photometric_stereo.md.
     """
+    from hshjax.cli._stereo_camera import with_camera
     from hshjax.cli._stereo_files import write_files
     from hshjax.cli._stereo_metrics import Solved
     from hshjax.cli._stereo_report import write_report
     from hshjax.io import read_photographs
 
     _check_paths(path, out, force)
-    given = {"rounds": rounds, "sweeps": sweeps}
+    chosen = {"rounds": rounds, "sweeps": sweeps}
     options = {
         "materials": materials,
         "seed": seed,
-        **{key: value for key, value in given.items() if value is not None},
+        **{key: value for key, value in chosen.items() if value is not None},
     }
     try:
         solve = _solver(lights, options)
         photographs = read_photographs(path, encoding=encoding, saturated=saturated, near=near)
         if photographs.lights is None and lights != "unknown":
             raise ValueError(f"{path}: nothing is known of the lights; give a light file (*.lp), or --lights unknown")
+        given = with_camera(_hidden(photographs, lights), image_height, field_of_view)
         begin = time.perf_counter()
         with _display() as progress:
-            found = solve(_hidden(photographs, lights), progress=progress, **options)
+            found = solve(given, progress=progress, **options)
         solved = Solved.of(photographs, found, lights, time.perf_counter() - begin)
         with complaints.status("writing"), _folder(out) as beside:
             write_files(beside, solved, convention)
@@ -163,13 +176,15 @@ def _hidden(photographs, lights: str):
     import jax
     import jax.numpy as jnp
 
-    from hshjax.lighting import DirectionalLight
+    from hshjax.lighting import DirectionalLight, PointLight
 
+    ones = jnp.ones(photographs.count)
     if lights == "unknown":
         return dataclasses.replace(photographs, lights=None)
     if lights == "unknown-intensities" and isinstance(photographs.lights, DirectionalLight):
-        even = jax.vmap(DirectionalLight)(photographs.lights.direction, jnp.ones(photographs.count))
-        return dataclasses.replace(photographs, lights=even)
+        return dataclasses.replace(photographs, lights=jax.vmap(DirectionalLight)(photographs.lights.direction, ones))
+    if lights == "unknown-intensities" and isinstance(photographs.lights, PointLight):
+        return dataclasses.replace(photographs, lights=jax.vmap(PointLight)(photographs.lights.position, ones))
     return photographs
 
 

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax import plotting
-from hshjax.cli._stereo_metrics import Solved, directions
+from hshjax.cli._stereo_metrics import Solved, directions, strength
 from hshjax.geometry import direction
 from hshjax.io import save_model, write_exr, write_normals, write_ply
 from hshjax.io.normals import Convention
+from hshjax.lighting import DirectionalLight
 from hshjax.stereo import Stereo, height_from_normals
 from hshjax.surface import Surface, height_field
 
@@ -67,23 +68,27 @@ def _names(channels: int) -> tuple[str, ...] | None:
 
 
 def _write_shape(folder: Path, stereo: Stereo, shown: np.ndarray) -> None:
-    """Heights [pixels], NaN where there are none, and a mesh of them."""
+    """Heights, NaN where there are none, and a mesh of them: in pixels, or where something is nearby as found."""
     normals = stereo.image(stereo.normals).astype(float)
-    heights = height_from_normals(normals, stereo.mask)
+    if stereo.positions is None:
+        heights = height_from_normals(normals, stereo.mask)
+        points = height_field(np.where(np.isfinite(heights), heights, 0)).position
+    else:
+        points = jnp.asarray(stereo.image(stereo.positions))
+        heights = np.where(stereo.mask, stereo.image(stereo.positions)[..., 2], np.nan)
     write_exr(folder / "heights.exr", heights)
     known = np.isfinite(heights)
-    points = height_field(np.where(known, heights, 0)).position
     surface = Surface(jnp.asarray(np.where(known[..., None], normals, 0), points.dtype), points)
     write_ply(folder / "mesh.ply", surface, colours=np.rint(255 * shown).astype(np.uint8))
 
 
 def _write_lights(folder: Path, lights: Any) -> None:
-    """Directions as a light file, intensities as a table, a line a light: R G B, or one number."""
-    towards = directions(lights)
+    """Directions or positions as a light file, intensities as a table, a line a light: R G B, or one number."""
+    far = isinstance(lights, DirectionalLight)
+    towards = directions(lights) if far else np.asarray(lights.position, float)
     lines = [
         str(len(towards)),
         *(f"light_{k:03d} {x:.9f} {y:.9f} {z:.9f}" for k, (x, y, z) in enumerate(towards, 1)),
     ]
     (folder / "lights.lp").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    irradiance = np.asarray(lights.irradiance, float).reshape(len(towards), -1)
-    np.savetxt(folder / "light_intensities.txt", irradiance, fmt="%.9g")
+    np.savetxt(folder / "light_intensities.txt", strength(lights), fmt="%.9g")

@@ -84,13 +84,12 @@ class Solved(NamedTuple):
 
 def _explained(photographs: Photographs, stereo: Stereo, predicted: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
     """Misfit of pixels, and figures of the prediction; light by light, so that no second copy of the values is made."""
-    towards = directions(stereo.lights)
     names = {"prediction_error": np.zeros(3), "prediction_error_without_shadows": np.zeros(3)}
     own = np.zeros((2, photographs.pixels))
     for j in range(photographs.count):
         values = np.asarray(photographs.values[:, j], float)
         known = np.all(np.isfinite(values), axis=1)
-        counts = known & (stereo.normals @ towards[j] > LIT) & ~stereo.outliers[:, j]
+        counts = known & (cosines(stereo, j) > LIT) & ~stereo.outliers[:, j]
         square = np.sum(np.where(known[:, None], values, 0) ** 2, axis=1)
         missed = np.sum(np.where(known[:, None], values - predicted[:, j], 0) ** 2, axis=1)
         lit = counts & ~stereo.shadows[:, j]
@@ -107,10 +106,10 @@ def light_errors(photographs: Photographs, stereo: Stereo, lights: str) -> dict[
     """Mean errors of what was searched for of the lights, where they are known otherwise: angles [degrees]; intensities
     relative, up to a factor that all share."""
     given = photographs.lights
-    if lights == "known" or not isinstance(given, DirectionalLight) or not isinstance(stereo.lights, DirectionalLight):
+    if lights == "known" or given is None or type(given) is not type(stereo.lights):
         return {}
     found = {}
-    if lights == "unknown":
+    if lights == "unknown":  # of lights nearby nothing is found
         errors = angular_errors(directions(stereo.lights), directions(given))
         found["mean_light_direction_error_degrees"] = float(errors.mean())
     true, estimate = (intensities(kind) for kind in (given, stereo.lights))
@@ -120,16 +119,32 @@ def light_errors(photographs: Photographs, stereo: Stereo, lights: str) -> dict[
     return found
 
 
-def directions(lights: Any) -> np.ndarray:
-    """Unit vectors towards `DirectionalLight`s, `(lights, 3)`."""
-    direction = np.asarray(lights.direction, float)
+def directions(lights: Any, positions: np.ndarray | None = None) -> np.ndarray:
+    """Unit vectors towards lights, `(lights, 3)`; to `PointLight`s from the mean of positions."""
+    if isinstance(lights, DirectionalLight):
+        direction = np.asarray(lights.direction, float)
+    else:
+        direction = np.asarray(lights.position, float) - np.mean(positions, axis=0)
     return direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
+def cosines(stereo: Stereo, j: int) -> np.ndarray:
+    """n·l of every pixel with a light."""
+    if isinstance(stereo.lights, DirectionalLight):
+        return stereo.normals @ directions(stereo.lights)[j]
+    towards = np.asarray(stereo.lights.position[j], float) - stereo.positions
+    return np.sum(stereo.normals * towards, axis=1) / np.linalg.norm(towards, axis=1)
+
+
+def strength(lights: Any) -> np.ndarray:
+    """Irradiance of `DirectionalLight`s or intensity of `PointLight`s, `(lights, 1 or channels)`."""
+    given = np.asarray(lights.irradiance if isinstance(lights, DirectionalLight) else lights.intensity, float)
+    return given.reshape(len(given), -1)
+
+
 def intensities(lights: Any) -> np.ndarray:
-    """Irradiances `(lights,)`: means of channels."""
-    irradiance = np.asarray(lights.irradiance, float)
-    return irradiance.reshape(len(irradiance), -1).mean(axis=1)
+    """Means of channels of `strength`, `(lights,)`."""
+    return strength(lights).mean(axis=1)
 
 
 def _of_known(statistic: Callable, error: np.ndarray | None) -> float | None:

@@ -72,7 +72,7 @@ def maps(solved: Solved) -> bytes:
 def comparison(solved: Solved) -> bytes:
     """Some photographs, the model's prediction of them, and four times the difference."""
     stereo, photographs = solved.stereo, solved.photographs
-    chosen = _spread(directions(stereo.lights), SHOWN)
+    chosen = _spread(directions(stereo.lights, stereo.positions), SHOWN)
     figure, axes = _canvas(3, len(chosen), stereo)
     for column, j in enumerate(chosen):
         observed = _radiance(stereo, np.asarray(photographs.values[:, j], float))
@@ -112,7 +112,7 @@ def lights(solved: Solved, given: Any) -> bytes:
         radius = np.sin(np.radians(degrees))
         axis.plot(radius * np.cos(turn), radius * np.sin(turn), color="0.75", lw=1.0 if degrees == 90 else 0.6)
         axis.text(0.72 * radius, 0.72 * radius, f"{degrees}°", fontsize=7, color="0.45")
-    found, intensity = directions(solved.stereo.lights), intensities(solved.stereo.lights)
+    found, intensity = directions(solved.stereo.lights, solved.stereo.positions), intensities(solved.stereo.lights)
     if given is not None:
         there = directions(given)
         axis.plot(*np.stack([there, found], axis=1)[..., :2].T.reshape(2, 2, -1), color="0.4", lw=0.8)
@@ -128,7 +128,7 @@ def lights(solved: Solved, given: Any) -> bytes:
     if given is not None:
         axis.legend(fontsize=8, loc="upper left", frameon=False)
     bar = figure.colorbar(dots, ax=axis, fraction=0.045, pad=0.02)
-    bar.set_label("irradiance / mean", fontsize=8)
+    bar.set_label("irradiance or intensity / mean", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     axis.set_aspect("equal")
     axis.set_xlim(-1.08, 1.08)

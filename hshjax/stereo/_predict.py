@@ -1,5 +1,7 @@
 """Photographs as a result of photometric stereo would have them, under its lights or others."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,9 +9,11 @@ import numpy as np
 
 from hshjax._typing import Array, Float
 from hshjax.brdfs import AbstractBRDF
-from hshjax.lighting import AbstractLighting, DirectionalLight
+from hshjax.camera import AbstractCamera
+from hshjax.lighting import AbstractLighting, DirectionalLight, PointLight
 from hshjax.reflectance import reflect
 from hshjax.stereo._result import Stereo
+from hshjax.stereo._strength import Lights, strengths, with_strengths
 
 TILE, STEP = 4096, 512
 """Pixels that are looked at together; the tile of a small object has a multiple of `STEP`, so that objects of like size
@@ -21,7 +25,8 @@ def predict(
 ) -> Float[np.ndarray, "pixels lights channels"]:
     """Radiance of the pixels under each light by itself: Eq. 1 for their materials and normals. Float32, on the host.
 
-    - `lights`: `DirectionalLight` whose leaves have a leading axis; None: those of `stereo`.
+    - `lights`: `DirectionalLight` whose leaves have a leading axis, or `PointLight` where `stereo` has positions; None:
+      those of `stereo`.
     - `stray`: whether light that strays is added, `stereo.stray` times the mean of the photograph over all pixels.
 
     Attached shadows are there, cast ones and light from other parts of the object are not.
@@ -30,14 +35,15 @@ def predict(
     """
     lights = stereo.lights if lights is None else lights
     count, _, channels = stereo.weights.shape
-    direction, irradiance = _checked(lights, channels)
+    unit, strength = _checked(lights, channels, stereo.positions is not None)
     length = min(TILE, -(-count // STEP) * STEP)
-    radiance = np.empty((count, len(direction), channels), np.float32)
+    radiance = np.empty((count, len(strength), channels), np.float32)
     for begin in range(0, count, length):
         part = slice(begin, min(begin + length, count))
         normals, weights = (_filled(array[part], length) for array in (stereo.normals, stereo.weights))
-        tile = _tile(stereo.brdf, direction, normals, weights)
-        radiance[part] = np.asarray(tile)[: part.stop - part.start] * irradiance
+        positions = None if stereo.positions is None else _filled(stereo.positions[part].astype(np.float32), length)
+        tile = _tile(stereo.brdf, unit, stereo.camera, normals, weights, positions)
+        radiance[part] = np.asarray(tile)[: part.stop - part.start] * strength
     if stray and stereo.stray:
         # The mean of a photograph holds the light that strays, too.
         radiance += stereo.stray / (1 - stereo.stray) * radiance.mean(axis=0, dtype=float).astype(np.float32)
@@ -46,27 +52,28 @@ def predict(
 
 @eqx.filter_jit
 def _tile(
-    brdf: AbstractBRDF, direction: Float[Array, "lights 3"], normals: Float[Array, "n 3"],
-    weights: Float[Array, "n materials channels"],
+    brdf: AbstractBRDF, lights: Any, camera: AbstractCamera | None, normals: Float[Array, "n 3"],
+    weights: Float[Array, "n materials channels"], positions: Float[Array, "n 3"] | None,
 ) -> Float[Array, "n lights channels"]:  # fmt: skip
-    view = jnp.asarray([0, 0, 1], normals.dtype)
+    view = jnp.asarray([0, 0, 1], normals.dtype) if camera is None else camera.view(positions).astype(normals.dtype)
 
-    def under(towards):
-        shading = reflect(brdf, DirectionalLight(towards, jnp.ones((), normals.dtype)), normals, view)
+    def under(light):
+        shading = reflect(brdf, light, normals, view, positions=positions)
         return jnp.einsum("nk,nkc->nc", shading, weights, precision="highest")
 
-    return jnp.moveaxis(jax.lax.map(under, direction), 0, 1)
+    return jnp.moveaxis(jax.lax.map(under, lights), 0, 1)
 
 
-def _checked(lights: AbstractLighting, channels: int) -> tuple[Array, np.ndarray]:
-    """Directions `(lights, 3)` and irradiance `(lights, 1 or channels)`, float32."""
-    if not isinstance(lights, DirectionalLight) or lights.direction.ndim != 2:
-        raise ValueError(f"lights must be DirectionalLight with a leading axis, got {lights}")
-    direction = np.asarray(lights.direction, np.float32)
-    irradiance = np.asarray(lights.irradiance, np.float32).reshape(len(direction), -1)
-    if irradiance.shape[1] not in (1, channels):
-        raise ValueError(f"lights must have 1 channel or {channels}, as the weights have, got {irradiance.shape[1]}")
-    return jnp.asarray(direction), irradiance
+def _checked(lights: AbstractLighting, channels: int, placed: bool) -> tuple[Lights, np.ndarray]:
+    """Lights of unit strength, and their strength `(lights, 1 or channels)`, float32."""
+    if isinstance(lights, PointLight) and not placed:
+        raise ValueError("lights must be DirectionalLight: a result of lights and camera far away has no positions")
+    if not isinstance(lights, DirectionalLight | PointLight) or jax.tree.leaves(lights)[0].ndim != 2:
+        raise ValueError(f"lights must be DirectionalLight or PointLight with a leading axis, got {lights}")
+    strength = strengths(lights).astype(np.float32)
+    if strength.shape[1] not in (1, channels):
+        raise ValueError(f"lights must have 1 channel or {channels}, as the weights have, got {strength.shape[1]}")
+    return with_strengths(lights, np.ones((len(strength), 1))), strength
 
 
 def _filled(array: np.ndarray, length: int) -> Array:

@@ -39,11 +39,11 @@ def solve_uncalibrated(
 ) -> Stereo:
     """Normals, reflectance, directions and intensities of lights far away, from photographs alone.
 
-    `photographs.lights` are not looked at. Intensities begin as what lights make of the pixels that face them;
-    directions as the factor of photographs that have Lambert's rank, of unit length, turned so that normals look out
-    of the mask at its contour: which tells hollow from raised, and left from right. Directions and intensities then
-    move while materials are learned from some pixels, and all is solved as with known lights (`solve_calibrated`,
-    whose `options` are these) under those that were found.
+    `photographs.lights` are not looked at, and the world is that of a camera on +z. Intensities begin as what lights
+    make of the pixels that face them; directions as the factor of photographs that have Lambert's rank, of unit length,
+    turned so that normals look out of the mask at its contour: which tells hollow from raised, and left from right.
+    Directions and intensities then move while materials are learned from some pixels, and all is solved as with known
+    lights (`solve_calibrated`, whose `options` are these) under those that were found.
 
     - `pixels`, `turns`: how many pixels lights are learned from, and for how many rounds.
     - `equal`: whether intensities begin as equal, not as what lights make of the pixels that face them: better where
@@ -55,20 +55,25 @@ def solve_uncalibrated(
     ends, its surface must turn away from the camera.
 
     **Raises:** ValueError for fewer than `FEWEST` photographs, a mask without a contour inside of the photographs,
-    lights that do not determine the factors, and as `solve_calibrated`.
+    lights that do not determine the factors, a camera nearby, and as `solve_calibrated`.
     """
     if photographs.count < FEWEST:
         raise ValueError(f"unknown lights need at least {FEWEST} photographs, got {photographs.count}")
     for name, value, least in (("pixels", pixels, 1), ("turns", turns, 0)):
         if value < least:
             raise ValueError(f"{name} must be at least {least}, got {value}")
+    if photographs.camera is not None and photographs.camera.needs_positions:
+        raise ValueError("unknown lights are found for a camera far away: give photographs without camera, or lights")
+    photographs = replace(photographs, camera=None)
     contour(photographs.mask)  # raises, before anything takes long
     columns = default_columns() if columns is None else columns
     history = History(progress)
     with history.stage("factors") as done:
         some = np.sort(np.random.default_rng([seed, 1]).permutation(photographs.pixels)[:SOME])
         upwards = np.broadcast_to([0.0, 0.0, 1.0], (photographs.count, 3))
-        begun = intensities(photographs, some)  # raises for black photographs, if equal too
+        begun = intensities(
+            np.asarray(photographs.values[some], np.float32)
+        )  # raises for black photographs, if equal too
         photographs = under(photographs, upwards, np.ones_like(begun) if equal else begun)
         observations = Observations(photographs, directed=False)
         directions = factored(observations.pixels(some))
