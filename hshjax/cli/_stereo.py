@@ -50,8 +50,8 @@ def stereo(
     near: Annotated[
         float | None,
         typer.Option(
-            help="The light file's vectors, times this, are positions of lights nearby [unit of the scene]; their origin "
-            "is where the middle of the image meets the object's mean depth. Wants --image-height."
+            help="The light file's vectors, times this, are positions of lights nearby [unit of the scene]; their "
+            "origin is where the middle of the image meets the object's mean depth. Wants --image-height."
         ),
     ] = None,
     image_height: Annotated[

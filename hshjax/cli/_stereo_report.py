@@ -85,8 +85,8 @@ def _pictures(solved: Solved) -> list[Picture]:
         ),
         Picture(
             "Lights",
-            "Directions of lights on the hemisphere, of those nearby from the middle of the object, seen along the view; "
-            "circles: angles from it. "
+            "Directions of lights on the hemisphere, of those nearby from the middle of the object, seen along the "
+            "view; circles: angles from it. "
             + ("Circles: what the files say, dots: what was found." if compared else "As they are used."),
             pictures.lights(solved, compared),
         ),
