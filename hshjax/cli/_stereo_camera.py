@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 
 from hshjax.camera import OrthographicCamera, PerspectiveCamera
@@ -30,9 +31,10 @@ def with_camera(photographs: Photographs, height: float | None, field_of_view: f
     resolution = photographs.mask.shape
     height = float(resolution[0]) if height is None else height
     if field_of_view is None:
-        camera = OrthographicCamera((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), height=height, resolution=resolution)
+        towards, up = jnp.asarray([0.0, 0.0, 1.0]), jnp.asarray([0.0, 1.0, 0.0])
+        camera = OrthographicCamera(towards, up, height=jnp.asarray(height), resolution=resolution)
     else:
         angle = np.radians(field_of_view)
-        eye = (0.0, 0.0, height / (2 * np.tan(angle / 2)))
-        camera = PerspectiveCamera(eye, (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), field_of_view=angle, resolution=resolution)
+        eye, up = jnp.asarray([0.0, 0.0, height / (2 * np.tan(angle / 2))]), jnp.asarray([0.0, 1.0, 0.0])
+        camera = PerspectiveCamera(eye, jnp.zeros(3), up, field_of_view=jnp.asarray(angle), resolution=resolution)
     return dataclasses.replace(photographs, camera=camera)

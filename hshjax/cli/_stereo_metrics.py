@@ -119,8 +119,8 @@ def light_errors(photographs: Photographs, stereo: Stereo, lights: str) -> dict[
     return found
 
 
-def directions(lights: Any, positions: np.ndarray | None = None) -> np.ndarray:
-    """Unit vectors towards lights, `(lights, 3)`; to `PointLight`s from the mean of positions."""
+def directions(lights: Any, positions: Any = None) -> np.ndarray:
+    """Unit vectors towards lights, `(lights, 3)`; to `PointLight`s from the mean of positions `(pixels, 3)`."""
     if isinstance(lights, DirectionalLight):
         direction = np.asarray(lights.direction, float)
     else:
@@ -130,9 +130,10 @@ def directions(lights: Any, positions: np.ndarray | None = None) -> np.ndarray:
 
 def cosines(stereo: Stereo, j: int) -> np.ndarray:
     """n·l of every pixel with a light."""
-    if isinstance(stereo.lights, DirectionalLight):
-        return stereo.normals @ directions(stereo.lights)[j]
-    towards = np.asarray(stereo.lights.position[j], float) - stereo.positions
+    lights: Any = stereo.lights
+    if isinstance(lights, DirectionalLight):
+        return stereo.normals @ directions(lights)[j]
+    towards = np.asarray(lights.position[j], float) - stereo.positions
     return np.sum(stereo.normals * towards, axis=1) / np.linalg.norm(towards, axis=1)
 
 

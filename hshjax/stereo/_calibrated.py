@@ -9,10 +9,11 @@ from hshjax.photographs import Photographs
 from hshjax.stereo._columns import Column, column_brdfs, combined, default_columns, first_guess, positive_columns
 from hshjax.stereo._history import History, Progress
 from hshjax.stereo._intensity import band_gains, single_gains
-from hshjax.stereo._learn import coefficients_of, learn
+from hshjax.stereo._learn import Shared, coefficients_of, learn
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import FAR, neighbours
 from hshjax.stereo._result import Stereo
+from hshjax.stereo._shading import ShadingTables
 from hshjax.stereo._stages import finish, hand_on, refine_all, start
 from hshjax.stereo._weights import LIMIT
 
@@ -31,11 +32,17 @@ def solve_calibrated(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Stereo:
-    """Normals, weights of materials and their BRDF, from photographs under known lights far away.
+    """Normals, weights of materials and their BRDF, from photographs under known lights.
 
     Lambert's law on values of middle ranks gives a start. On some pixels the BRDF of a few materials is learned, each a
     combination of `columns`, while normals and weights answer (variable projection). Then every pixel is solved, and
     normals are handed on between neighbours where they explain the photographs.
+
+    Lights (`PointLight`) or a camera (`PerspectiveCamera`) nearby need to know where pixels are. That begins as a
+    plane and is found anew from normals three times by Lambert's law, once when materials were learned, which then are
+    learned again, and at the end (`positions`). Normals tell no mean depth: it is that of the plane through what the
+    camera sees in the middle of the image, its `target`, or `centre` of an `OrthographicCamera`, at right angles to the
+    view; of each piece of the surface, should it have several.
 
     - `materials`: how many BRDFs the surface is mixed of, 1 to 5.
     - `columns`: isotropic reciprocal bases and single-channel BRDFs; None: `default_columns`. More of them follow a
@@ -73,9 +80,8 @@ def solve_calibrated(
         for _ in range(starts):
             observations = observations.moved(pq)
             pq = start(observations, done)
-    for turn in range(observations.geometry.passes):
-        if turn:
-            observations = observations.moved(pq)
+
+    def learned(observations: Observations, pq: np.ndarray) -> tuple[Observations, ShadingTables, Shared, np.ndarray]:
         with history.stage("learn", rounds) as done:
             geometry, some = observations.geometry, observations.pixels(chosen)
             tables = geometry.tables(column_brdfs(columns))
@@ -89,7 +95,11 @@ def solve_calibrated(
             observations = observations.brighter(np.exp(np.asarray(shared.gains)))
         mixed = tables.mixed(shared.coefficients)
         with history.stage("normals", steps) as done:
-            pq = refine_all(observations, mixed, shared, pq, 4, 8, done)
+            return observations, mixed, shared, refine_all(observations, mixed, shared, pq, 4, 8, done)
+
+    observations, mixed, shared, pq = learned(observations, pq)
+    for _ in range(observations.geometry.again):
+        observations, mixed, shared, pq = learned(observations.moved(pq), pq)
     with history.stage("neighbours", steps * sweeps) as done:
         near, amount = neighbours(photographs.mask), smoothness * shared.noise**0.5
         for sweep in range(sweeps):

@@ -11,9 +11,11 @@ import numpy as np
 
 from hshjax._typing import Array, Float, Int
 from hshjax.brdfs import AbstractBRDF
+from hshjax.camera import AbstractCamera
+from hshjax.lighting import DirectionalLight
 from hshjax.stereo._axes import camera_axes
 from hshjax.stereo._shading import ShadingTables, shading_table
-from hshjax.stereo._strength import Lights, strengths
+from hshjax.stereo._strength import strengths
 
 Part = slice | np.ndarray
 """Which pixels: some in a row, or by number."""
@@ -22,14 +24,17 @@ Part = slice | np.ndarray
 class Geometry(abc.ABC):
     """Directions and strength of light at pixels.
 
-    - `positions` `(pixels, 3)`: in the world; None where lights and camera are far away.
-    - `starts`: how often positions are found anew from normals by Lambert's law. - `passes`: how often materials are
-      learned, positions found anew before each but the first.
+    - `starts`: how often positions are found anew from normals by Lambert's law. - `again`: how often materials are
+      learned again, positions found anew before.
     """
 
-    positions: Float[np.ndarray, "pixels 3"] | None
     starts: int
-    passes: int
+    again: int
+
+    @property
+    @abc.abstractmethod
+    def positions(self) -> Float[np.ndarray, "pixels 3"] | None:
+        """In the world; None where lights and camera are far away."""
 
     @abc.abstractmethod
     def towards(self, part: Part) -> Float[Array, "... lights 3"]:
@@ -64,9 +69,9 @@ class Far(Geometry):
     **Raises:** ValueError for directions that are zero or not finite.
     """
 
-    positions, starts, passes = None, 0, 1
+    starts, again = 0, 0
 
-    def __init__(self, lights: Lights, camera):
+    def __init__(self, lights: DirectionalLight, camera: AbstractCamera | None):
         directions = np.asarray(lights.direction, float)
         length = np.linalg.norm(directions, axis=1, keepdims=True)
         if not np.all(np.isfinite(length) & (length > 0)):
@@ -74,6 +79,10 @@ class Far(Geometry):
         self._axes = camera_axes(camera)
         self._directions = jnp.asarray(directions / length @ self._axes.T, jnp.float32)
         self._irradiance = strengths(lights).astype(np.float32)
+
+    @property
+    def positions(self):
+        return None
 
     def towards(self, part):
         return self._directions

@@ -223,7 +223,7 @@ def coefficients_of(
     rows, wanted = _rows(columns), _rows(materials)
     gram = rows @ rows.T
     gram += ridge * np.trace(gram) / len(gram) * np.eye(len(gram))
-    return jnp.asarray(np.linalg.solve(gram, rows @ wanted.T).T, columns.values.dtype)
+    return jnp.asarray(np.linalg.solve(gram, rows @ wanted.T).T, columns.dtype)
 
 
 def squares(columns: ShadingTables) -> Float[np.ndarray, "columns columns"]:

@@ -29,22 +29,27 @@ SOME = 2000
 class Near(Geometry):
     """Pixels of a mask at their places: on a plane, or at `positions`.
 
-    **Raises:** ValueError for a light within the surface: nearer to a pixel than its neighbours are.
+    **Raises:** ValueError for a light without a finite position, or within the surface: nearer to a pixel than its
+    neighbours are.
     """
 
-    starts, passes = 3, 2
+    starts, again = 3, 1
 
     def __init__(
         self, lights: Lights, camera: OrthographicCamera | PerspectiveCamera, mask: Bool[np.ndarray, "rows columns"],
         positions: Float[np.ndarray, "pixels 3"] | None = None,
     ):  # fmt: skip
         self._lights, self._camera, self._mask = lights, camera, mask
-        self.positions = on_plane(camera, mask) if positions is None else positions
+        self._positions = on_plane(camera, mask) if positions is None else positions
         world = camera_axes(camera)
         # A pixel's view is that of its ray, wherever on it the surface is: frames stay as they are.
         view = -np.asarray(camera.rays()[1], float)[mask] @ world.T
         self._frames = np.asarray(matmul(frame(jnp.asarray(view, jnp.float32)), jnp.asarray(world, jnp.float32)))
         self._check_apart()
+
+    @property
+    def positions(self):
+        return self._positions
 
     def towards(self, part):
         return _incident(self._lights, *self._places(part))[0]
@@ -53,7 +58,7 @@ class Near(Geometry):
         return np.asarray(_incident(self._lights, *self._places(part))[1])
 
     def tables(self, brdfs: Sequence[AbstractBRDF]) -> ShadingTables:
-        step = -(-len(self.positions) // SOME)
+        step = -(-len(self._positions) // SOME)
         return near_tables(brdfs, angle_shares(self.towards(slice(None, None, step))))
 
     def world(self, local, part):
@@ -62,23 +67,26 @@ class Near(Geometry):
     def carried(self, pq, number, part):
         if not self._camera.needs_positions:
             return pq[number]  # one frame for all
-        world = np.einsum("nkji,nkj->nki", self._frames[number], np.asarray(from_chart(pq[number])))
+        world = np.einsum("nkji,nkj->nki", self._frames[number], np.asarray(from_chart(jnp.asarray(pq[number]))))
         return np.asarray(to_chart(jnp.asarray(np.einsum("nij,nkj->nki", self._frames[part], world))))
 
     def moved(self, normals):
         return Near(self._lights, self._camera, self._mask, on_surface(self._camera, self._mask, normals))
 
     def _places(self, part) -> tuple[Array, Array]:
-        return jnp.asarray(self.positions[part], jnp.float32), jnp.asarray(self._frames[part])
+        return jnp.asarray(self._positions[part], jnp.float32), jnp.asarray(self._frames[part])
 
     def _check_apart(self) -> None:
         places = getattr(self._lights, "position", None)
         if places is None:
             return
+        unknown = np.flatnonzero(~np.all(np.isfinite(places), axis=1))
+        if len(unknown):
+            raise ValueError(f"lights {(unknown + 1).tolist()} have no finite position")
         from scipy.spatial import KDTree
 
-        distance, _ = KDTree(self.positions).query(np.asarray(places, float))
-        inside = np.flatnonzero(~(distance > spacing(self._camera)))
+        distance, _ = KDTree(self._positions).query(np.asarray(places, float))
+        inside = np.flatnonzero(distance <= spacing(self._camera))
         if len(inside):
             raise ValueError(
                 f"lights {(inside + 1).tolist()} lie within the surface, nearer to a pixel than its neighbours are: "

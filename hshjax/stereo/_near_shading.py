@@ -5,6 +5,7 @@ shading depends on the normal and on that one angle. Every light of every pixel 
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -33,6 +34,10 @@ class NearTables(ShadingTables):
     size: int = eqx.field(static=True)
 
     @property
+    def dtype(self) -> Any:
+        return self.values.dtype
+
+    @property
     def columns(self) -> int:
         return self.values.shape[2]
 
@@ -46,7 +51,8 @@ class NearTables(ShadingTables):
         return jnp.moveaxis(weighted, 2, 0).reshape(self.columns, -1)
 
     def of(self, towards: Float[Array, "n lights 3"]) -> "NearTable":
-        return NearTable(self, *_angle_place(towards, len(self.share)), jnp.stack(azimuth(towards), axis=-1))
+        node, above = _angle_place(towards, len(self.share))
+        return NearTable(self, node, above, jnp.stack(azimuth(towards), axis=-1))
 
 
 class NearTable(ShadingTable):
@@ -62,8 +68,8 @@ class NearTable(ShadingTable):
     turn: Float[Array, "n lights 2"]
 
     @property
-    def values(self) -> Array:
-        return self.tables.values
+    def dtype(self) -> Any:
+        return self.tables.dtype
 
     @property
     def columns(self) -> int:
@@ -101,7 +107,7 @@ class NearTable(ShadingTable):
         corner = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, size - 2)
         u, v = (place - corner.astype(place.dtype))[..., None]
         first = (self.node * size + corner[0]) * size + corner[1]
-        flat = self.values.reshape(-1, self.columns)
+        flat = self.tables.values.reshape(-1, self.columns)
         layers = [[flat[first + above + step] for above in (0, size * size)] for step in (0, 1, size, size + 1)]
         return [_mean(low, high, self.above[..., None]) for low, high in layers], u, v
 

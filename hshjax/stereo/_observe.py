@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float, Int
+from hshjax.camera import OrthographicCamera, PerspectiveCamera
 from hshjax.lighting import DirectionalLight, PointLight
 from hshjax.photographs import LUMA, Photographs
 from hshjax.stereo._chart import from_chart
@@ -152,10 +153,11 @@ def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3
         raise ValueError("the irradiance of every light must be above 0: leave out photographs without light")
     if isinstance(lights, DirectionalLight) and (camera is None or not camera.needs_positions):
         return Far(lights, camera)
-    if camera is None:
+    if not isinstance(camera, OrthographicCamera | PerspectiveCamera):
+        kind = "none" if camera is None else type(camera).__name__
         raise ValueError(
-            "lights nearby need a camera that says where pixels are: an OrthographicCamera with the height of the "
-            "image, or a PerspectiveCamera"
+            "lights nearby need a camera that says where pixels are, an OrthographicCamera with the height of the "
+            f"image or a PerspectiveCamera, got {kind}"
         )
     if camera.resolution != photographs.mask.shape:
         raise ValueError(f"the camera must have the resolution of the mask, {photographs.mask.shape}, got {camera}")

@@ -66,5 +66,5 @@ def _filled(image: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows
     """NaN replaced by what is nearest."""
     from scipy import ndimage
 
-    row, column = ndimage.distance_transform_edt(np.isnan(image), return_distances=False, return_indices=True)
-    return image[row, column]
+    index = ndimage.distance_transform_edt(np.isnan(image), return_distances=False, return_indices=True)
+    return image[tuple(np.asarray(index))]

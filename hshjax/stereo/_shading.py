@@ -5,6 +5,7 @@ Tabulated over the chart of normals, every BRDF costs the same a pixel: four row
 
 import abc
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,10 +20,12 @@ from hshjax.stereo._chart import grid
 
 
 class ShadingTables(eqx.Module):
-    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light: `values`
-    at nodes."""
+    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light."""
 
-    values: eqx.AbstractVar[Float[Array, "..."]]
+    @property
+    @abc.abstractmethod
+    def dtype(self) -> Any:
+        """Of values."""
 
     @property
     @abc.abstractmethod
@@ -46,6 +49,10 @@ class ShadingTable(ShadingTables):
     """Shading of some pixels, or of all where it is the same for all."""
 
     @abc.abstractmethod
+    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTable":
+        """Of linear combinations of the columns."""
+
+    @abc.abstractmethod
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
         """At normals of the pixels, in the chart about their view: linear between nodes."""
 
@@ -64,6 +71,10 @@ class FarTable(ShadingTable):
 
     values: Float[Array, "nodes columns lights"]
     size: int = eqx.field(static=True)
+
+    @property
+    def dtype(self) -> Any:
+        return self.values.dtype
 
     @property
     def columns(self) -> int:

@@ -18,6 +18,7 @@ from hshjax.stereo._observe import Observations
 from hshjax.stereo._result import Stereo
 from hshjax.stereo._semi_calibrated import SOME, intensities, under
 from hshjax.stereo._stages import band_normals
+from hshjax.stereo._strength import strengths
 from hshjax.stereo._turned import turned_lights
 
 FEWEST = 8
@@ -91,7 +92,7 @@ def solve_uncalibrated(
         )  # fmt: skip
         moved = np.degrees(2 * np.arcsin(np.clip(np.linalg.norm(found.directions - directions, axis=1) / 2, 0, 1)))
         done.figures |= {"moved": float(np.mean(moved)), "noise": found.noise}
-    irradiance = np.asarray(observations.lights.irradiance) * np.exp(found.gains)[:, None]
+    irradiance = strengths(observations.lights) * np.exp(found.gains)[:, None]
     photographs = under(photographs, found.directions, irradiance)
     solved = solve_calibrated(
         photographs, materials=materials, columns=columns, stray=stray, seed=seed, progress=progress, **options
