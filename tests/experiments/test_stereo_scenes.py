@@ -8,12 +8,12 @@ import pytest
 
 from experiments import peers
 from experiments.recipes import _stereo_corruption as corruption, _stereo_mitsuba
-from experiments.recipes._stereo_lights import LAYOUTS, directional
+from experiments.recipes._stereo_lights import LAYOUTS, directional, nearby
 from experiments.recipes._stereo_materials import BODY, material
-from experiments.recipes._stereo_meshes import HALF_WIDTH, LEAST_COSINE, relief, seen, visible
+from experiments.recipes._stereo_meshes import HALF_WIDTH, LEAST_COSINE, camera, pinhole, relief, seen, visible
 from experiments.recipes._stereo_scenes import NAMES, parts, photographs, scenes
 from experiments.recipes._stereo_shapes import SHAPES
-from hshjax import Horizon
+from hshjax import Horizon, OrthographicCamera
 from tests.helpers import X64, assert_close
 
 FREE = [name for name in SHAPES if name != "head"]
@@ -365,3 +365,28 @@ def test_direct_light_is_that_of_mitsuba(name, share):
     deep, error = _stereo_mitsuba.traced(shape, surface, lights, size=24, depth=4, spp=4, variant="scalar_rgb")
     more = deep.values.sum() / theirs.values.sum() - 1
     assert abs(more) < 1e-3 if name.startswith("sphere") else 0.05 < more < 0.6
+
+
+def test_lights_far_out_are_lights_far_away():
+    """Cast shadows among them; a camera that tells places changes nothing."""
+    far = directional(6, "dome", seed=1)
+    shape, surface = parts("pillars/lambert", 0)
+    expected = photographs(shape, surface, far, size=40)
+    found = photographs(shape, surface, nearby(far, 1e4), camera=camera(40), size=40)
+    assert np.mean(np.abs(found.values - expected.values) > 1e-3) < 0.01  # borders of shadows
+    assert np.mean(expected.values == 0) > 0.05
+
+
+def test_a_camera_tells_the_mean_depth():
+    shape, surface = parts("sphere/lambert", 0)
+    lights = nearby(directional(4), 4.0)
+    for eye in (camera(32), pinhole(32, 3.0)):
+        _, normal, position = seen(shape, 32, eye)
+        np.testing.assert_allclose(position, normal, atol=1e-6)  # a unit sphere
+        for off in (0.0, 0.3):
+            told = photographs(shape, surface, lights, camera=eye, off=off, size=32).camera
+            if isinstance(told, OrthographicCamera):
+                assert np.isclose(told.centre[2] + off, position[:, 2].mean())
+            else:
+                assert np.isclose(np.log(3 - told.target[2] - off), np.log(3 - position[:, 2]).mean())
+            np.testing.assert_allclose(told.rays()[1], eye.rays()[1], atol=1e-6)
