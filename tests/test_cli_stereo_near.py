@@ -52,6 +52,7 @@ def test_a_ball_seen_and_lit_from_nearby(archive, tmp_path):
     assert np.all(np.isnan(heights[~photographs.mask]))
     wrong = heights[photographs.mask] - (places(photographs, EYE) - origin)[:, 2]
     assert np.sqrt(np.mean(wrong**2)) < 0.01
+    np.testing.assert_allclose(np.load(out / "weights.npz")["positions"][:, 2], heights[photographs.mask], atol=1e-6)
     there = np.asarray(photographs.lights.position) - origin
     np.testing.assert_allclose(read_light_positions(out / "lights.lp")[1], there, atol=1e-5)
     np.testing.assert_allclose(

@@ -29,8 +29,9 @@ def write_files(folder: Path, solved: Solved, convention: Convention) -> None:
 
     imsave(folder / "albedo.png", shown)
     save_model(folder / "model.hshjax", stereo.brdf)
+    places: dict[str, Any] = {} if stereo.positions is None else {"positions": stereo.positions}
     np.savez_compressed(
-        folder / "weights.npz", weights=stereo.weights, mask=stereo.mask, deviation=stereo.deviation,
+        folder / "weights.npz", **places, weights=stereo.weights, mask=stereo.mask, deviation=stereo.deviation,
         outliers=stereo.outliers, shadows=stereo.shadows, stray=stereo.stray,
     )  # fmt: skip
     _write_shape(folder, stereo, shown)

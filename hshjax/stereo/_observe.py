@@ -151,8 +151,10 @@ def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3
     strength = strengths(lights)
     if not np.all(np.isfinite(strength) & (strength > 0)):
         raise ValueError("the irradiance of every light must be above 0: leave out photographs without light")
-    if isinstance(lights, DirectionalLight) and (camera is None or not camera.needs_positions):
-        return Far(lights, camera)
+    if isinstance(lights, DirectionalLight):
+        far = Far(lights, camera)  # raises for wrong directions
+        if camera is None or not camera.needs_positions:
+            return far
     if not isinstance(camera, OrthographicCamera | PerspectiveCamera):
         kind = "none" if camera is None else type(camera).__name__
         raise ValueError(

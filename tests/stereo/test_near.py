@@ -182,6 +182,13 @@ def test_what_says_nothing_of_places_is_refused(spoil, message, solve):
         solve(spoil(ball(4.0)))
 
 
+def test_directions_without_length_under_a_camera_nearby():
+    photographs = ball(None, EYE)
+    lights = jax.tree.map(lambda leaf: leaf.at[1].set(0.0) if leaf.ndim == 2 else leaf, photographs.lights)
+    with pytest.raises(ValueError, match="finite and not zero"):
+        solve_calibrated(replace(photographs, lights=lights))
+
+
 def test_unknown_lights_want_a_camera_far_away():
     with pytest.raises(ValueError, match="camera far away"):
         solve_uncalibrated(ball(4.0, EYE))
