@@ -5,7 +5,7 @@ import numpy as np
 
 from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
-from hshjax.stereo._lambertian import band_trust, scaled_normals
+from hshjax.stereo._band import band_trust, scaled_normals
 from hshjax.stereo._learn import Pixels
 
 OF_PIXEL = 0.9

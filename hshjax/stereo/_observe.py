@@ -10,6 +10,7 @@ import numpy as np
 from hshjax._typing import Array, Float, Int
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import LUMA, Photographs
+from hshjax.stereo._highlit import below_highlights
 from hshjax.stereo._learn import Pixels
 from hshjax.stereo._trust import brightness
 
@@ -47,7 +48,8 @@ class Observations:
         for part in self.slices():
             values = self.colour(part)
             shades = grey(values)
-            self.brightness[part] = brightness(shades)
+            level = brightness(shades)
+            self.brightness[part] = below_highlights(shades, level, self.directions) if directed else level
             self.seen[part] = np.any(shades > 0, axis=1)
             total += np.nansum(values, axis=0, dtype=float)
             known += np.sum(~np.isnan(values), axis=0)
