@@ -16,10 +16,7 @@ from hshjax.bases._base import matmul
 from hshjax.stereo._refine import Estimate, predicted, refine, robust_refine
 from hshjax.stereo._shading import ShadingTable
 from hshjax.stereo._system import System
-from hshjax.stereo._trust import biweight, initial_trust, residual_scale, robust_trust
-
-SHADOWS = 0.3
-"""Trust of dark values where shared unknowns are learned."""
+from hshjax.stereo._trust import SHADOWS, biweight, initial_trust, residual_scale, robust_trust
 
 BEST = 0.5
 """Share of the pixels that is learned from: those that fit best, for the others are shadowed or lit by others."""

@@ -14,7 +14,7 @@ from hshjax.stereo._chart import grid
 from hshjax.stereo._misfit import misfit
 from hshjax.stereo._refine import Estimate, predicted, robust_refine
 from hshjax.stereo._shading import ShadingTable
-from hshjax.stereo._trust import residual_scale
+from hshjax.stereo._trust import SHADOWS, initial_trust, residual_scale
 from hshjax.stereo._weights import non_negative_weights
 
 STRIDE = 6
@@ -26,14 +26,18 @@ TOGETHER = 512
 
 @eqx.filter_jit
 def refine_from_both(
-    table: ShadingTable, values: Float[Array, "n lights"], plain: Float[Array, "n lights"], pq: Float[Array, "n 2"],
+    table: ShadingTable, values: Float[Array, "n lights"], known: Float[Array, "n lights"], pq: Float[Array, "n 2"],
     rounds: int, steps: int,
 ) -> Float[Array, "n 2"]:  # fmt: skip
-    """`robust_refine` from given normals and from `best_node`: of the two, what fits better."""
-    starts = pq, best_node(table, values, plain)
+    """`robust_refine` from given normals and from `best_node`: of the two, what fits better.
+
+    Dark values count as `SHADOWS` where minima are compared: one that wants light there needs a shadow cast.
+    """
+    plain, counted = initial_trust(values, known), initial_trust(values, known, SHADOWS)
+    starts = pq, best_node(table, values, counted)
     found = [robust_refine(table, values, plain, begin, rounds, steps)[0] for begin in starts]
     scale = jnp.minimum(*(_scale(table, values, plain, estimate) for estimate in found))
-    own, other = (misfit(table, values, plain, scale, estimate.pq) for estimate in found)
+    own, other = (misfit(table, values, counted, scale, estimate.pq) for estimate in found)
     return jnp.where((other < own)[:, None], found[1].pq, found[0].pq)
 
 

@@ -48,8 +48,8 @@ def refine_all(
     found = np.empty_like(pq)
     for part, pixels in observations.tiles():
         values = pixels.without(shared.stray)
-        plain = initial_trust(values, pixels.known)
-        _keep(found, part, refine_from_both(table, values, plain, observations.filled(pq[part]), rounds, steps))
+        begin = observations.filled(pq[part])
+        _keep(found, part, refine_from_both(table, values, pixels.known, begin, rounds, steps))
         done()
     return found
 

@@ -13,6 +13,9 @@ BRIGHT = 0.9
 DARK = 0.15
 """Of that quantile: what is darker may lie in shadow, lit by other parts of the object."""
 
+SHADOWS = 0.3
+"""Trust of dark values where shared unknowns are learned and minima compared, relative to that at the limit."""
+
 CUT = 3.0
 """Scales beyond which a value counts for nothing."""
 
