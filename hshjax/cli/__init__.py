@@ -1,5 +1,6 @@
 """The `hshjax` command: look at a measured material, fit it, keep the model; solve photographs. A file a subject."""
 
+from hshjax.cli._cache import keep_programs
 from hshjax.cli._console import typer  # first: it says what is missing
 from hshjax.cli._material import fit, info
 from hshjax.cli._stereo import stereo
@@ -21,4 +22,5 @@ def main() -> None:
 
     # A command line owns its process, so it may choose: figures are computed in double precision.
     jax.config.update("jax_enable_x64", True)
+    keep_programs()
     app()

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Float
-from hshjax.stereo._lambertian import band_trust
+from hshjax.stereo._band import band_trust
 from hshjax.stereo._learn import Pixels
 from hshjax.stereo._trust import biweight, residual_scale
 
@@ -32,7 +32,7 @@ def factored(pixels: Pixels) -> Float[np.ndarray, "lights 3"]:
         lights = _factor(values.T, trust.T, albedo_normals)
         if turn >= PLAIN:
             residual = jnp.asarray(values - albedo_normals @ lights.T)
-            trust = plain * np.asarray(biweight(residual, residual_scale(residual)))
+            trust = plain * np.asarray(biweight(residual, residual_scale(residual, jnp.asarray(plain > 0))))
     straight = lights @ unit_lengths(lights)
     return straight / np.linalg.norm(straight, axis=1, keepdims=True)
 

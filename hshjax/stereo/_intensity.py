@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
-from hshjax.stereo._lambertian import band_trust, cosines, scaled_normals
+from hshjax.stereo._band import band_trust, cosines, scaled_normals
 from hshjax.stereo._learn import Pixels
 
 OF_PIXEL = 0.9

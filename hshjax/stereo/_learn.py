@@ -16,10 +16,7 @@ from hshjax.bases._base import matmul
 from hshjax.stereo._refine import Estimate, predicted, refine, robust_refine
 from hshjax.stereo._shading import ShadingTable, ShadingTables
 from hshjax.stereo._system import System
-from hshjax.stereo._trust import initial_trust, robust_trust
-
-SHADOWS = 0.3
-"""Trust of dark values where shared unknowns are learned."""
+from hshjax.stereo._trust import SHADOWS, biweight, initial_trust, residual_scale, robust_trust
 
 BEST = 0.5
 """Share of the pixels that is learned from: those that fit best, for the others are shadowed or lit by others."""
@@ -125,7 +122,8 @@ def learning_weight(
     plain = initial_trust(values, known)
     misfit = jnp.mean(jnp.minimum(plain * jnp.abs(residual), 0.3), axis=1)
     best = (misfit <= jnp.quantile(misfit, BEST)).astype(values.dtype)[:, None]
-    return best * robust_trust(residual, initial_trust(values, known, SHADOWS))
+    scale = residual_scale(residual, plain > 0)
+    return best * initial_trust(values, known, SHADOWS) * biweight(residual, scale)
 
 
 def keep_materials(

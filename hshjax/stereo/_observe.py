@@ -12,6 +12,7 @@ from hshjax.lighting import DirectionalLight, PointLight
 from hshjax.photographs import LUMA, Photographs
 from hshjax.stereo._chart import from_chart
 from hshjax.stereo._geometry import Far, Geometry
+from hshjax.stereo._highlit import below_highlights
 from hshjax.stereo._learn import Pixels
 from hshjax.stereo._near import Near
 from hshjax.stereo._strength import strengths, with_strengths
@@ -54,7 +55,10 @@ class Observations:
         known = np.zeros_like(total)
         for part in self.slices():
             shades = grey(self.colour(part))
-            self.brightness[part] = brightness(shades)
+            level = brightness(shades)
+            if directed:
+                level = below_highlights(shades, level, self.geometry.towards(part))
+            self.brightness[part] = level
             self.seen[part] = np.any(shades > 0, axis=1)
             values = photographs.values[part]
             total += np.nansum(values, axis=0, dtype=float)

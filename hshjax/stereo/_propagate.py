@@ -11,12 +11,8 @@ import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int
 from hshjax.stereo._chart import from_chart
-from hshjax.stereo._refine import weigh
+from hshjax.stereo._misfit import misfit
 from hshjax.stereo._shading import ShadingTable
-from hshjax.stereo._trust import biweight
-
-CUT = 0.15
-"""Where the cost of a value's misfit ends to grow."""
 
 FAR = (8, 4, 2, 16)
 """Distances of far neighbours, one a sweep, in turn."""
@@ -56,14 +52,9 @@ def take_over(
     mean = jnp.sum(jnp.where(there[..., None], near, 0), axis=1) / count[:, None]
 
     def cost(candidate):
-        shading = table.at(candidate)
-        weights, _ = weigh(shading, values, trust)
-        residual = values - jnp.sum(weights[..., None] * shading, axis=1)
-        weights, _ = weigh(shading, values, trust * biweight(residual, scale))
-        residual = values - jnp.sum(weights[..., None] * shading, axis=1)
-        misfit = jnp.mean(jnp.minimum(jnp.abs(residual) * jnp.sqrt(trust), CUT), axis=1)
         chord = jnp.sqrt(jnp.sum((from_chart(candidate)[:, None] - around) ** 2, axis=-1))
-        return misfit + smoothness * jnp.sum(jnp.where(there, jnp.minimum(chord, TURN), 0), axis=1) / count
+        fit = misfit(table, values, trust, scale, candidate)
+        return fit + smoothness * jnp.sum(jnp.where(there, jnp.minimum(chord, TURN), 0), axis=1) / count
 
     def look(best, candidate):
         value = cost(candidate)

@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float, Int
+from hshjax.stereo._band import band_trust, scaled_normals
 from hshjax.stereo._chart import from_chart, to_chart
 from hshjax.stereo._history import Running
-from hshjax.stereo._lambertian import band_trust, scaled_normals
 from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
 from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
+from hshjax.stereo._restart import refine_from_both
 from hshjax.stereo._shading import ShadingTable, ShadingTables
 from hshjax.stereo._trust import initial_trust, residual_scale
 
@@ -44,14 +45,12 @@ def refine_all(
     observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
     rounds: int, steps: int, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
-    """Every normal from where it is, outliers found in rounds."""
+    """Every normal from where it is and from the best of normals all over, outliers found in rounds."""
     found = np.empty_like(pq)
     for part, pixels in observations.tiles():
         values = pixels.without(shared.stray)
-        plain = initial_trust(values, pixels.known)
-        table = tables.of(observations.towards(part))
-        estimate, _ = robust_refine(table, values, plain, observations.filled(pq[part]), rounds, steps)
-        _keep(found, part, estimate.pq)
+        table, begin = tables.of(observations.towards(part)), observations.filled(pq[part])
+        _keep(found, part, refine_from_both(table, values, pixels.known, begin, rounds, steps))
         done()
     return found
 
@@ -83,7 +82,7 @@ def hand_on(
 @eqx.filter_jit
 def _hand_on(table, values, plain, pq, near, far, there, smoothness):
     estimate, _ = robust_refine(table, values, plain, pq, 2, 0)
-    scale = residual_scale(values - predicted(table, estimate))
+    scale = residual_scale(values - predicted(table, estimate), plain > 0)
     return take_over(table, values, plain, scale, pq, near, far, there, smoothness)
 
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float
+from hshjax._typing import Array, Bool, Float
 
 BRIGHT = 0.9
 """Quantile over lights that a pixel is divided by: above most shadows, below most highlights."""
@@ -13,20 +13,28 @@ BRIGHT = 0.9
 DARK = 0.15
 """Of that quantile: what is darker may lie in shadow, lit by other parts of the object."""
 
+SHADOWS = 0.3
+"""Trust of dark values where shared unknowns are learned and minima compared, relative to that at the limit."""
+
 CUT = 3.0
 """Scales beyond which a value counts for nothing."""
 
 
 def brightness(values: Float[np.ndarray, "pixels lights"]) -> Float[np.ndarray, "pixels 1"]:
     """What pixels are divided by, so that all count alike: a high quantile of what is known. 1 for black pixels."""
-    unknown = np.isnan(values)
-    if unknown.any():
-        blind = unknown.all(axis=1)
-        level = np.zeros((len(values), 1), values.dtype)
-        level[~blind] = np.nanquantile(values[~blind], BRIGHT, axis=1, keepdims=True)
-    else:
-        level = np.quantile(values, BRIGHT, axis=1, keepdims=True).astype(values.dtype)
+    level = quantile(values, BRIGHT)
     return np.where(level > 0, level, 1).astype(values.dtype)
+
+
+def quantile(values: Float[np.ndarray, "pixels lights"], rank: float) -> Float[np.ndarray, "pixels 1"]:
+    """Of the known values of each pixel; 0 where nothing is known (NaN)."""
+    unknown = np.isnan(values)
+    if not unknown.any():
+        return np.quantile(values, rank, axis=1, keepdims=True).astype(values.dtype)
+    blind = unknown.all(axis=1)
+    level = np.zeros((len(values), 1), values.dtype)
+    level[~blind] = np.nanquantile(values[~blind], rank, axis=1, keepdims=True)
+    return level
 
 
 def initial_trust(
@@ -47,28 +55,30 @@ def robust_trust(residual: Float[Array, "n lights"], initial: Float[Array, "n li
 
     Source: Beaton & Tukey, The Fitting of Power Series, Meaning Polynomials, Technometrics 16(2), 1974.
     """
-    return initial * biweight(residual, residual_scale(residual))
+    return initial * biweight(residual, residual_scale(residual, initial > 0))
 
 
-def residual_scale(residual: Float[Array, "n lights"]) -> Float[Array, "n 1"]:
-    """1.5 median |r| + 0.01, of each pixel."""
-    return 1.5 * median(jnp.abs(residual)) + 0.01
+def residual_scale(residual: Float[Array, "n lights"], among: Bool[Array, "n lights"]) -> Float[Array, "n 1"]:
+    """1.5 median |r| + 0.01, of some values of each pixel. Cast shadows are not among them: a pixel that lies in the
+    shadow of others under half of the lights would fit whatever it shows."""
+    return 1.5 * median(jnp.abs(residual), among) + 0.01
 
 
-def median(values: Float[Array, "n lights"]) -> Float[Array, "n 1"]:
-    """The median of values >= 0 (of an even number, the lower of the middle two) to 2^-14 of the largest of them.
+def median(values: Float[Array, "n lights"], among: Bool[Array, "n lights"]) -> Float[Array, "n 1"]:
+    """The median of some values >= 0 (of an even number, the lower of the middle two) to 2^-14 of the largest of them;
+    0 of none.
 
     By bisection: XLA's sort of a short row on a CPU takes fifty times as long.
     """
-    half = (values.shape[1] + 1) // 2
+    half = (jnp.sum(among.astype(jnp.int32), axis=1, keepdims=True) + 1) // 2
 
     def halve(_, bounds):
         low, high = bounds
         middle = (low + high) / 2
-        below = jnp.sum((values <= middle).astype(jnp.int32), axis=1, keepdims=True) >= half
+        below = jnp.sum((among & (values <= middle)).astype(jnp.int32), axis=1, keepdims=True) >= half
         return jnp.where(below, low, middle), jnp.where(below, middle, high)
 
-    high = jnp.max(values, axis=1, keepdims=True)
+    high = jnp.max(jnp.where(among, values, 0), axis=1, keepdims=True)
     return jax.lax.fori_loop(0, 14, halve, (jnp.zeros_like(high), high))[1]
 
 
