@@ -54,12 +54,13 @@ class Observations:
         total = np.zeros((photographs.count, photographs.channels))
         known = np.zeros_like(total)
         for part in self.slices():
-            shades = grey(self.colour(part))
+            shades = np.asarray(self.filled(grey(self.colour(part))))  # one length: one program
             level = brightness(shades)
             if directed:
-                level = below_highlights(shades, level, self.geometry.towards(part))
-            self.brightness[part] = level
-            self.seen[part] = np.any(shades > 0, axis=1)
+                level = below_highlights(shades, level, self.towards(part))
+            size = part.stop - part.start
+            self.brightness[part] = level[:size]
+            self.seen[part] = np.any(shades[:size] > 0, axis=1)
             values = photographs.values[part]
             total += np.nansum(values, axis=0, dtype=float)
             known += np.sum(~np.isnan(values), axis=0)
@@ -155,6 +156,10 @@ def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3
     strength = strengths(lights)
     if not np.all(np.isfinite(strength) & (strength > 0)):
         raise ValueError("the irradiance of every light must be above 0: leave out photographs without light")
+    if strength.shape[1] not in (1, photographs.channels):
+        raise ValueError(
+            f"lights must have 1 channel or {photographs.channels}, as photographs have, got {strength.shape[1]}"
+        )
     if isinstance(lights, DirectionalLight):
         far = Far(lights, camera)  # raises for wrong directions
         if camera is None or not camera.needs_positions:

@@ -165,9 +165,10 @@ def lit_by(photographs, directions):
         (lambda p: lit_by(p, np.tile([[0, 0, 1.0]], (6, 1))), "in a plane"),
         (lambda p: lit_by(p, np.zeros((6, 3))), "finite and not zero"),
         (lambda p: eqx.tree_at(lambda q: q.lights.irradiance, p, jnp.zeros(6)), "irradiance .* above 0"),
+        (lambda p: eqx.tree_at(lambda q: q.lights.irradiance, p, jnp.ones((6, 2))), "1 channel or 1, .* got 2"),
         (lambda p: changed(p, np.where(np.arange(6)[:, None] == 2, np.nan, p.values)), r"photographs \[3\]"),
     ],
-    ids=["no lights", "one direction", "zero vectors", "no irradiance", "a blind photograph"],
+    ids=["no lights", "one direction", "zero vectors", "no irradiance", "other channels", "a blind photograph"],
 )
 def test_what_determines_nothing_is_refused(spoil, message):
     with pytest.raises(ValueError, match=message):
