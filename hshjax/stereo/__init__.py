@@ -5,6 +5,7 @@ from hshjax.stereo._height import depth_from_normals as depth_from_normals, heig
 from hshjax.stereo._history import Stage as Stage
 from hshjax.stereo._lambertian import Lambertian as Lambertian, lambertian as lambertian
 from hshjax.stereo._predict import predict as predict
+from hshjax.stereo._refine_jointly import refine_jointly as refine_jointly
 from hshjax.stereo._result import Stereo as Stereo, angular_errors as angular_errors
 from hshjax.stereo._semi_calibrated import solve_semi_calibrated as solve_semi_calibrated
 from hshjax.stereo._uncalibrated import solve_uncalibrated as solve_uncalibrated

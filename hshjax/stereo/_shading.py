@@ -1,8 +1,9 @@
-"""Shading tables: the view is fixed, so that what a light makes of an isotropic BRDF depends on the normal alone.
+"""Shading: the view is fixed, so that what a light makes of an isotropic BRDF depends on the normal alone.
 
-Tabulated over the chart of normals, every BRDF costs the same a pixel: four rows of a table.
+Tabulated over the chart of normals, every BRDF costs the same a pixel: four rows of a table. `Rendered` is Eq. 1 itself.
 """
 
+import abc
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -14,17 +15,75 @@ from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF
 from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
-from hshjax.stereo._chart import grid
+from hshjax.stereo._chart import from_chart, grid
 
 
-class ShadingTable(eqx.Module):
-    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light.
+class AbstractShading(eqx.Module):
+    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light."""
+
+    @property
+    @abc.abstractmethod
+    def columns(self) -> int:
+        """Number of columns."""
+
+    @abc.abstractmethod
+    def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
+        """Of normals in the chart."""
+
+    @abc.abstractmethod
+    def with_slope(
+        self, pq: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
+        """The same, and its derivative in p and q."""
+
+
+class Rendered(AbstractShading):
+    """Shading by `hshjax.reflect`, the channels of an isotropic BRDF being its columns.
+
+    - `directions` `(lights, 3)`: towards the lights, of any length. - `gains` `(lights,)`: their irradiance.
+    """
+
+    brdf: AbstractBRDF
+    directions: Float[Array, "lights 3"]
+    gains: Float[Array, " lights"]
+
+    @property
+    def columns(self) -> int:
+        pair = jax.ShapeDtypeStruct((1, 3), self.directions.dtype)
+        return jax.eval_shape(self.brdf, pair, pair).shape[-1]
+
+    def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
+        normals, view = from_chart(pq), jnp.asarray([0, 0, 1], pq.dtype)
+
+        @jax.checkpoint  # light by light, in reverse as well: memory is that of what is returned
+        def under(light):
+            return reflect(self.brdf, DirectionalLight(*light), normals, view)
+
+        return jnp.moveaxis(jax.lax.map(under, (self.directions, self.gains)), 0, 2)
+
+    def with_slope(
+        self, pq: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
+        def along(axis):
+            tangent = jnp.broadcast_to(jnp.eye(2, dtype=pq.dtype)[axis], pq.shape)
+            return jax.jvp(self.at, (pq,), (tangent,))
+
+        (value, along_p), (_, along_q) = along(0), along(1)
+        return value, jnp.stack([along_p, along_q], axis=1)
+
+
+class ShadingTable(AbstractShading):
+    """Shading at the nodes of a grid over the chart.
 
     - `values` `(size², columns, lights)`: at the nodes of `grid(size)`.
     """
 
     values: Float[Array, "nodes columns lights"]
     size: int = eqx.field(static=True)
+
+    @property
+    def columns(self) -> int:
+        return self.values.shape[1]
 
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
         """Bilinear between nodes."""
@@ -34,7 +93,6 @@ class ShadingTable(eqx.Module):
     def with_slope(
         self, pq: Float[Array, "n 2"]
     ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
-        """The same, and its derivative in p and q."""
         corners, u, v = self._cell(pq)
         left, right = _between(corners[0], corners[1], v), _between(corners[2], corners[3], v)
         along_p = right - left

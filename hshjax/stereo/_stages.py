@@ -16,7 +16,7 @@ from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
 from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
-from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._shading import AbstractShading, ShadingTable
 from hshjax.stereo._trust import initial_trust, residual_scale
 
 
@@ -82,10 +82,10 @@ def _hand_on(table, values, plain, pq, near, far, there, smoothness):
 
 
 def finish(
-    observations: Observations, table: ShadingTable, shared: Shared, pq: Float[np.ndarray, "pixels 2"], done: Running
+    observations: Observations, table: AbstractShading, shared: Shared, pq: Float[np.ndarray, "pixels 2"], done: Running
 ) -> dict[str, Any]:
     """Normals, weights in all channels, deviations, outliers and shadows."""
-    photographs, materials = observations.photographs, table.values.shape[1]
+    photographs, materials = observations.photographs, table.columns
     count, lights, channels = photographs.values.shape
     normals, deviation = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     weights = np.empty((count, materials, channels), np.float32)
@@ -122,7 +122,7 @@ def _weigh_channels(table, colour, known, trust, pq) -> Float[Array, "n material
 
 @eqx.filter_jit
 def predicted_deviation(
-    table: ShadingTable, values: Float[Array, "n lights"], trust: Float[Array, "n lights"], estimate: Estimate
+    table: AbstractShading, values: Float[Array, "n lights"], trust: Float[Array, "n lights"], estimate: Estimate
 ) -> Float[Array, " n"]:
     """Standard deviation of normals [radians]: of the normal equations, noise by the residuals. Root of the mean of the
     two directions' variances; infinite where there are no more values than unknowns."""

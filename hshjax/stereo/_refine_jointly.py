@@ -1,0 +1,370 @@
+"""Normals, BRDF and lights refined together by gradients through Eq. 1, from a result of photometric stereo on."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+
+from hshjax._typing import Array, Float
+from hshjax.brdfs import AbstractBRDF
+from hshjax.brdfs._base import in_dtype
+from hshjax.fitting import fit
+from hshjax.fitting._fit import Solver, chosen
+from hshjax.lighting import DirectionalLight
+from hshjax.photographs import Photographs
+from hshjax.stereo._chart import to_chart, within
+from hshjax.stereo._history import History, Progress
+from hshjax.stereo._joint import (
+    Coordinates,
+    Material,
+    NearLights,
+    NearMaterial,
+    NearNormals,
+    Photometric,
+    Unknowns,
+    nodes,
+    of_lights,
+    of_normals,
+    of_numbers,
+    of_prior,
+    slopes_at,
+)
+from hshjax.stereo._learn import BEST, LARGEST_GAIN, STIFFNESS, Shared
+from hshjax.stereo._observe import Observations
+from hshjax.stereo._refine import weigh
+from hshjax.stereo._result import Stereo
+from hshjax.stereo._shading import Rendered
+from hshjax.stereo._stages import finish
+from hshjax.stereo._trust import CUT, biweight, initial_trust, residual_scale
+from hshjax.stereo._turned import tangents
+
+GRID = 13
+"""Nodes along a side of the chart, where materials are held near those of the start."""
+
+SETTLED = 1e-4
+"""Relative change of the loss at which a round ends."""
+
+
+def amplitudes(brdf: AbstractBRDF) -> Any:
+    """Which numbers a BRDF is linear in: coefficients of series and factors of multiples, a tree of booleans."""
+
+    def linear(path, leaf):
+        name = getattr(path[-1], "name", "") if path else ""
+        return eqx.is_inexact_array(leaf) and name in ("coefficients", "scale")
+
+    return jax.tree_util.tree_map_with_path(linear, brdf)
+
+
+def refine_jointly(
+    stereo: Stereo,
+    photographs: Photographs,
+    *,
+    normals: bool = True,
+    brdf: bool | Callable[[AbstractBRDF], Any] = True,
+    lights: bool = False,
+    start: AbstractBRDF | None = None,
+    pixels: int = 3000,
+    rounds: int = 3,
+    steps: int = 40,
+    stiffness: float = 1.0,
+    turns: float = 0.01,
+    gains: float = 0.03,
+    solver: Solver | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Stereo:
+    """A result of photometric stereo, its unknowns moved together to where photographs are explained better.
+
+    Two stages. On some pixels, those that are explained best, everything chosen moves at once by `hshjax.fit`: ½ Σ
+    trust (values - Eq. 1)² over the noise, and priors that hold each unknown near the start. Residuals are judged by
+    Tukey's biweight, whose weights are found anew in each round, with scales that are those of the start: the robust
+    loss falls from round to round. Then, with what pixels share held, each normal follows by the same loss, tile by tile.
+
+    - `normals`, `brdf`, `lights`: what moves. `brdf=True`: what the model is linear in (`amplitudes`); or a function
+      that picks parts, as `trainable` of `fit`: `lambda brdf: brdf.a.b.brdf.roughness`.
+    - `start`: the BRDF to begin with, a channel for each material, in place of that of `stereo`: a richer one, say.
+    - `pixels`: how many are looked at while shared unknowns move; the half of them that fits best counts.
+    - `rounds`: of judging residuals, 1 at least. - `steps`: of the solver in each, at most.
+    - `stiffness`: of the prior on normals, relative to what the photographs say of each. 0: none. It takes what
+      normals gained from their neighbours into account, which photographs alone would undo.
+    - `turns` [radians], `gains` [logarithms]: standard deviations of lights about the start, as if every value had told
+      of them once, with the noise that is found: errors of a model do not average out as noise does.
+    - `solver`: of `fit`; None: `optimistix.LBFGS`. - `seed`: of the choice of pixels. - `progress`: as elsewhere.
+
+    Values that `stereo` masks (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are
+    found anew. `history` goes on with stages "joint" and "follow", with the losses at start and end.
+
+    **Raises:** ValueError for photographs that do not belong to the result, for a BRDF of another number of channels
+    than the materials, nothing to refine, and other arguments out of range.
+    """
+    _check(stereo, photographs, normals, brdf, lights)
+    for name, value, least in (("pixels", pixels, 2), ("rounds", rounds, 1), ("steps", steps, 1)):
+        if value < least:
+            raise ValueError(f"{name} must be at least {least}, got {value}")
+    for name, value, limit in (("stiffness", stiffness, -1e-30), ("turns", turns, 0), ("gains", gains, 0)):
+        if not value > limit:
+            raise ValueError(f"{name} must be {'at least' if name == 'stiffness' else 'above'} 0, got {value}")
+    model = in_dtype(stereo.brdf if start is None else start, jnp.float32)
+    observations, history = Observations(replace(photographs, lights=stereo.lights)), History(progress)
+    found = Rendered(model, observations.directions, jnp.ones(photographs.count, jnp.float32))
+    if found.columns != stereo.weights.shape[1]:
+        raise ValueError(f"the BRDF has {found.columns} channels, the result {stereo.weights.shape[1]} materials")
+    solver = optx.LBFGS(rtol=SETTLED, atol=SETTLED) if solver is None else solver
+    pq = np.asarray(to_chart(jnp.asarray(stereo.normals, jnp.float32)))
+    settings = _Settings(solver, rounds, steps, stiffness, turns, gains)
+    some = observations.some(pixels, np.random.default_rng(seed))
+    with history.stage("joint", rounds) as done:
+        problem = _Problem.of(observations, stereo, found, some, pq[some], best=True)
+        mask = False if brdf is False else amplitudes(model) if brdf is True else chosen(model, brdf)
+        material = Material.of(model, jax.tree.map(lambda _: False, model) if mask is False else mask)
+        state, figures = _together(problem, found, material, settings, normals, lights, done)
+        done.figures |= figures
+    with history.stage("follow", observations.steps) as done:
+        if lights:
+            observations = _under(observations, state)
+        shared = Rendered(state.brdf, observations.directions, jnp.ones_like(state.gains))
+        if normals:
+            pq = _follow(observations, stereo, shared, pq, settings, problem.noise, done)
+    with history.stage("reflectance", observations.steps) as done:
+        still = Shared(jnp.zeros((0, 0)), jnp.asarray(stereo.stray, jnp.float32), problem.noise, state.gains)
+        end = finish(observations, shared, still, pq, done)
+        done.figures["outliers"] = float(np.mean(end["outliers"]))
+    return Stereo(
+        brdf=state.brdf, lights=observations.lights, stray=stereo.stray, mask=stereo.mask,
+        history=(*stereo.history, *history.stages), **end,
+    )  # fmt: skip
+
+
+class _Settings(NamedTuple):
+    solver: Solver
+    rounds: int
+    steps: int
+    stiffness: float
+    turns: float
+    gains: float
+
+
+class _Problem(NamedTuple):
+    """Pixels that are looked at, relative to their brightness.
+
+    - `values`, `plain` `(n, lights)`: and the trust in them before residuals are judged. - `scale` `(n, 1)`: of the
+      judgement. - `pq`: normals to begin with. - `noise`: weighted mean square at the start.
+    """
+
+    values: Float[Array, "n lights"]
+    plain: Float[Array, "n lights"]
+    scale: Float[Array, "n 1"]
+    pq: Float[Array, "n 2"]
+    noise: float
+
+    @classmethod
+    def of(cls, observations, stereo, shading, part, pq, *, best=False, noise=None) -> "_Problem":
+        """Of some pixels of a result; `best`: of those that fit best alone."""
+        seen = observations.pixels(part)
+        values = seen.without(jnp.asarray(stereo.stray, jnp.float32))
+        masked = jnp.asarray(stereo.outliers[part] | stereo.shadows[part])
+        plain = jnp.where(masked, 0, initial_trust(values, seen.known))
+        pq = jnp.asarray(pq)
+        residual = _residual(shading, pq, values, plain)
+        if best:
+            misfit = jnp.mean(jnp.minimum(plain * jnp.abs(residual), 0.3), axis=1)
+            kept = np.flatnonzero(np.asarray(misfit <= jnp.quantile(misfit, BEST)))
+            values, plain, pq, residual = (array[kept] for array in (values, plain, pq, residual))
+        scale = residual_scale(jnp.where(plain > 0, residual, 0))
+        if noise is None:
+            trust = plain * biweight(residual, scale)
+            total = float(jnp.sum(trust))
+            if total == 0:
+                raise ValueError("the result masks every value of the pixels that were drawn: nothing is left to fit")
+            noise = max(float(jnp.sum(trust * residual**2)) / total, 1e-8)  # float32 knows no less
+        return cls(values, plain, scale, pq, noise)
+
+    def trust(self, residual: Float[Array, "n lights"]) -> Float[Array, "n lights"]:
+        """In units of the noise's inverse variance."""
+        return self.plain * biweight(residual, self.scale) / self.noise
+
+    def robust(self, residual: Float[Array, "n lights"]) -> float:
+        """½ Σ of Tukey's loss over the noise; its square at 0 is that of the weighted residuals."""
+        x = jnp.minimum((residual / (CUT * self.scale)) ** 2, 1)
+        loss = (CUT * self.scale) ** 2 / 3 * (1 - (1 - x) ** 3)
+        return float(jnp.sum(self.plain * loss)) / (2 * self.noise)
+
+
+class _State(NamedTuple):
+    """Where a joint refinement is; `before`: turns and logarithms of gains that lights have made so far."""
+
+    brdf: AbstractBRDF
+    y: Array
+    pq: Array
+    directions: Array
+    gains: Array
+    before: Array
+
+    @property
+    def shading(self) -> Rendered:
+        return Rendered(self.brdf, self.directions, jnp.exp(self.gains))
+
+    @classmethod
+    def of(cls, coordinates: Coordinates, unknowns: Unknowns, before: Array) -> "_State":
+        """Where unknowns have led to."""
+        shading = coordinates.shading(unknowns)
+        length = jnp.linalg.norm(shading.directions, axis=1, keepdims=True)
+        return cls(
+            shading.brdf, coordinates.numbers(unknowns), within(coordinates.normals(unknowns)),
+            shading.directions / length, jnp.log(shading.gains), before + coordinates.turns(unknowns),
+        )  # fmt: skip
+
+
+def _together(problem, found, material, settings, normals, lights, done) -> tuple[_State, dict[str, float]]:
+    """All that moves, in rounds; the last state, and the whole loss before and after."""
+    still = jnp.zeros((len(found.directions), 3), jnp.float32)
+    state = _State(found.brdf, material.start, problem.pq, found.directions, still[:, 0], still)
+    moves = tuple(
+        name for name, there in (("normals", normals), ("brdf", material.start.size > 0), ("lights", lights)) if there
+    )
+    if not moves:
+        return state, {}
+    prior = _Prior.of(problem, found, material, settings)
+    losses, steps = [], 0
+    for _ in range(settings.rounds):
+        state, (before, after, taken) = _round(problem, prior, state, material, settings, moves)
+        losses += [before, after]
+        steps += taken
+        done()
+    figures = {"noise": problem.noise, "loss_start": losses[0], "loss_end": losses[-1], "steps": float(steps)}
+    if lights:
+        figures["turned"] = float(jnp.degrees(jnp.mean(jnp.linalg.norm(state.before[:, :2], axis=1))))
+    return state, figures
+
+
+class _Prior(NamedTuple):
+    """What holds the unknowns: nodes of the chart, shading there and its strength; the root of what holds normals;
+    strengths of lights."""
+
+    pq: Array
+    start: Array
+    materials: Array
+    root: Array
+    lights: Array
+
+    @classmethod
+    def of(cls, problem, found, material, settings) -> "_Prior":
+        """About the start."""
+        pq = jnp.asarray(nodes(GRID))
+        shading = _at(found, pq)
+        trust = problem.trust(_residual(found, problem.pq, problem.values, problem.plain))
+        slopes = slopes_at(material, material.start, found, problem.pq, problem.values, trust)
+        amount = jnp.sum(trust) * problem.noise
+        materials = STIFFNESS * amount * jnp.mean(slopes.weights**2, axis=0) / (len(pq) * len(found.directions))
+        deviations = jnp.asarray([settings.turns, settings.turns, settings.gains], jnp.float32)
+        root = of_normals(slopes, settings.stiffness * trust)
+        return cls(pq, shading, materials, root, amount / trust.shape[1] / deviations**2)
+
+
+def _round(problem, prior, state, material, settings, moves) -> tuple[_State, tuple[float, float, int]]:
+    """A round: coordinates about the state and a fit. The new state, the whole loss before and after, and steps."""
+    rendered = state.shading
+    residual = _residual(rendered, state.pq, problem.values, problem.plain)
+    trust = problem.trust(residual)
+    slopes = slopes_at(material, state.y, rendered, state.pq, problem.values, trust)
+    metric = of_prior(material, state.y, rendered, prior.pq, prior.materials)
+    mix, response = of_numbers(slopes, trust, metric, "normals" in moves)
+    across = jnp.asarray(tangents(np.asarray(state.directions, float)), jnp.float32)
+    own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
+    scale = of_lights(slopes, trust, rendered, state.pq, across, prior.lights)
+    coordinates = Coordinates(
+        material, state.y, mix, state.pq, own, response if "normals" in moves else jnp.zeros_like(response),
+        state.directions, across, state.gains, scale,
+    )  # fmt: skip
+    terms = {
+        "normals": NearNormals(problem.pq, prior.root, coordinates),
+        "brdf": NearMaterial(prior.pq, prior.start, prior.materials, coordinates),
+        "lights": NearLights(state.before, prior.lights, coordinates),
+    }
+    objective = {"photographs": Photometric(problem.values, trust, coordinates)} | {name: terms[name] for name in moves}
+    zero = Unknowns(jnp.zeros_like(state.pq), jnp.zeros_like(state.y), jnp.zeros_like(scale))
+    fitted = fit(
+        zero, objective, settings.solver, max_steps=settings.steps, throw=False,
+        trainable=lambda unknowns: tuple(getattr(unknowns, name) for name in moves),
+    )  # fmt: skip
+    state = _State.of(coordinates, fitted.model, state.before)
+    after = _residual(state.shading, state.pq, problem.values, problem.plain, trust)
+    held = [float(sum(loss for name, loss in losses.items() if name != "photographs")) for losses in (fitted.start_losses, fitted.losses)]
+    return state, (problem.robust(residual) + held[0], problem.robust(after) + held[1], int(fitted.steps))
+
+
+def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np.ndarray, "pixels 2"]:
+    """Every normal, with all that is shared held."""
+    nothing = Material.of(shared.brdf, jax.tree.map(lambda _: False, shared.brdf))
+    empty = jnp.zeros((0, 0), jnp.float32)
+    still = jnp.zeros((len(shared.directions), 3), jnp.float32)
+    found = np.empty_like(pq)
+    for part in observations.slices():
+        problem = _Problem.of(observations, stereo, shared, part, pq[part], noise=noise)
+        now = problem.pq
+        first = problem.trust(_residual(shared, now, problem.values, problem.plain))
+        keep = of_normals(slopes_at(nothing, still[0, :0], shared, now, problem.values, first), settings.stiffness * first)
+        for _ in range(settings.rounds):
+            trust = problem.trust(_residual(shared, now, problem.values, problem.plain))
+            slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, trust)
+            own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
+            coordinates = Coordinates(
+                nothing, still[0, :0], empty, now, own, jnp.zeros((len(now), 2, 0), jnp.float32),
+                shared.directions, jnp.zeros((*still.shape[:1], 2, 3), jnp.float32), still[:, 0], still,
+            )  # fmt: skip
+            objective = {
+                "photographs": Photometric(problem.values, trust, coordinates),
+                "normals": NearNormals(problem.pq, keep, coordinates),
+            }
+            zero = Unknowns(jnp.zeros_like(now), still[0, :0], still)
+            fitted = fit(
+                zero, objective, settings.solver, max_steps=settings.steps, throw=False, trainable=_own_normals
+            )
+            now = within(coordinates.normals(fitted.model))
+        found[part] = np.asarray(now)[: part.stop - part.start]
+        done()
+    return found
+
+
+def _own_normals(unknowns: Unknowns) -> Array:
+    return unknowns.normals
+
+
+@eqx.filter_jit
+def _at(shading: Rendered, pq: Float[Array, "n 2"]) -> Float[Array, "n materials lights"]:
+    return shading.at(pq)
+
+
+@eqx.filter_jit
+def _residual(
+    shading: Rendered, pq: Float[Array, "n 2"], values: Float[Array, "n lights"], *trusts: Float[Array, "n lights"]
+) -> Float[Array, "n lights"]:
+    """What the best weights leave: those for the last trust."""
+    found = shading.at(pq)
+    weights, _ = weigh(found, values, trusts[-1])
+    return values - jnp.sum(weights[..., None] * found, axis=1)
+
+
+def _under(observations: Observations, state: _State) -> Observations:
+    """Under the lights that were found, brighter and turned."""
+    given = observations.lights
+    gains = state.gains - jnp.median(state.gains)
+    turned = jax.vmap(DirectionalLight)(
+        state.directions, given.irradiance * jnp.exp(gains).astype(given.irradiance.dtype).reshape(-1, *[1] * (given.irradiance.ndim - 1))
+    )
+    return Observations(replace(observations.photographs, lights=turned))
+
+
+def _check(stereo: Stereo, photographs: Photographs, *moves: Any) -> None:
+    shape = photographs.mask.shape
+    if stereo.mask.shape != shape or not np.array_equal(stereo.mask, photographs.mask):
+        raise ValueError(f"the photographs have another mask, {shape} of {photographs.pixels} pixels, than the result")
+    if stereo.outliers.shape != (photographs.pixels, photographs.count):
+        raise ValueError(f"the result is of {stereo.outliers.shape[1]} photographs, got {photographs.count}")
+    if not any(move is not False for move in moves):
+        raise ValueError("nothing is to be refined: normals, brdf and lights are all held")
