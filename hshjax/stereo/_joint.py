@@ -17,13 +17,16 @@ from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF
 from hshjax.fitting import AbstractTerm
-from hshjax.fitting._bounds import Box, declared, to_bounded, to_free
+from hshjax.fitting._bounds import Box, declared
 from hshjax.stereo._chart import grid, to_chart
 from hshjax.stereo._refine import normal_equations, weigh
 from hshjax.stereo._shading import Rendered
 
 RIDGE = 1e-5
 """Of coordinates, relative to their largest: combinations that photographs hardly tell of move no farther."""
+
+WALL = 10.0
+"""Of bounds: a number that is outside by a tenth of what photographs leave open counts as much as noise."""
 
 
 class Unknowns(eqx.Module):
@@ -38,7 +41,7 @@ class Unknowns(eqx.Module):
 
 
 class Material(eqx.Module):
-    """A BRDF as free numbers y: its parameters that move, each through the chart of its box (`hshjax.fitting`)."""
+    """A BRDF as the numbers y of its parameters that move, one after the other, and what bounds them."""
 
     moving: Any
     held: Any
@@ -54,22 +57,30 @@ class Material(eqx.Module):
     def start(self) -> Float[Array, " numbers"]:
         """The numbers of the BRDF as it is."""
         leaves = jax.tree.leaves(self.moving)
-        if not leaves:
-            return jnp.zeros(0, jnp.float32)
-        return ravel_pytree([to_free(leaf, box) for leaf, box in zip(leaves, self.boxes, strict=True)])[0]
+        return ravel_pytree(leaves)[0] if leaves else jnp.zeros(0, jnp.float32)
+
+    @property
+    def bounds(self) -> tuple[Float[Array, " numbers"], Float[Array, " numbers"]]:
+        """Least and largest values that numbers may have, infinite where they are free."""
+        leaves = jax.tree.leaves(self.moving)
+        ends = zip(*((box.low, box.high) for box in self.boxes), strict=True) if leaves else ((), ())
+        return tuple(  # type: ignore[return-value]
+            jnp.concatenate([jnp.zeros(0, self.start.dtype), *map(jnp.ravel, map(jnp.full_like, leaves, end))])
+            for end in ends
+        )
 
     def at(self, y: Float[Array, " numbers"]) -> AbstractBRDF:
         """The BRDF of some numbers."""
         leaves, structure = jax.tree.flatten(self.moving)
-        _, unravel = ravel_pytree(leaves)
-        moved = [to_bounded(part, box) for part, box in zip(unravel(y), self.boxes, strict=True)]
+        moved = ravel_pytree(leaves)[1](y) if leaves else []
         return eqx.combine(jax.tree.unflatten(structure, moved), self.held)
 
 
 class Coordinates(eqx.Module):
     """What the free numbers u, v, l of `Unknowns` stand for, such that the data's Hessian is near the identity.
 
-        y = y0 + C v,   (p, q) = (p, q)0 + A u - B C v,   direction = d + s_1 l_1 t_1 + s_2 l_2 t_2,   gain = e^(s_3 l_3)
+        y = y0 + C v,   (p, q) = (p, q)0 + A u - B C v
+        direction = d + s_1 l_1 t_1 + s_2 l_2 t_2,   gain = e^(s_3 l_3)
 
     B is how normals answer to the BRDF to first order: without it the two would pull against each other at every step.
 
@@ -131,19 +142,36 @@ class Photometric(AbstractTerm):
 class NearMaterial(AbstractTerm):
     """Shading of materials less that of the start, over normals of a grid: as a prior on values, not on parameters.
 
-    - `pq` `(nodes, 2)`. - `start` `(nodes, materials, lights)`. - `strength` `(materials,)`: for the sum of squares.
+    - `pq` `(nodes, 2)`. - `start` `(nodes, materials, lights)`, under lights of these `directions`. - `strength`
+      `(materials,)`: for the sum of squares.
     """
 
     pq: Float[Array, "nodes 2"]
     start: Float[Array, "nodes materials lights"]
     strength: Float[Array, " materials"]
+    directions: Float[Array, "lights 3"]
     coordinates: Coordinates
 
     def __call__(self, model: Unknowns):
-        # Under the lights of the start: what they do is not the material's.
-        still = Unknowns(model.normals, model.brdf, jnp.zeros_like(model.lights))
-        change = self.coordinates.shading(still).at(self.pq) - self.start
+        return self.of(self.coordinates.material.at(self.coordinates.numbers(model)))
+
+    def of(self, brdf: AbstractBRDF) -> Float[Array, "nodes materials lights"]:
+        """The residual of a BRDF."""
+        change = Rendered(brdf, self.directions, jnp.ones_like(self.directions[:, 0])).at(self.pq) - self.start
         return jnp.sqrt(self.strength)[None, :, None] * change
+
+
+class InBounds(AbstractTerm):
+    """How far numbers of the BRDF are outside of their bounds, over a part of how far they move: a bound that gives way
+    a little while a fit goes on. Charts that never leave a box have no slope on its sides, where many numbers are."""
+
+    coordinates: Coordinates
+
+    def __call__(self, model: Unknowns):
+        low, high = self.coordinates.material.bounds
+        y = self.coordinates.numbers(model)
+        size = jnp.sqrt(jnp.sum(self.coordinates.mix**2, axis=1))
+        return WALL * (jnp.minimum(y - low, 0) + jnp.maximum(y - high, 0)) / size
 
 
 class NearNormals(AbstractTerm):
@@ -221,22 +249,29 @@ def of_normals(slopes: Slopes, trust: Float[Array, "n lights"]) -> Float[Array, 
 
 @eqx.filter_jit
 def of_numbers(
-    slopes: Slopes, trust: Float[Array, "n lights"], prior: Float[Array, "numbers numbers"], free: bool
+    slopes: Slopes,
+    trust: Float[Array, "n lights"],
+    normals: Float[Array, "n 2 2"] | None,
+    prior: Float[Array, "numbers numbers"],
 ) -> tuple[Float[Array, "numbers numbers"], Float[Array, "n 2 numbers"]]:
     """C and B of `Coordinates`: the inverse root of the Hessian by the numbers of the BRDF, all that pixels have of
     their own projected out, and how normals answer. `free`: whether normals move at all."""
     turned = jnp.sum(slopes.weights[:, None, :, None] * slopes.turned, axis=2)
     own = jnp.concatenate([slopes.shading, turned], axis=1)
-    active = jnp.concatenate([slopes.weights > 0, jnp.full((len(turned), 2), free)], axis=1)
+    active = jnp.concatenate([slopes.weights > 0, jnp.full((len(turned), 2), normals is not None)], axis=1)
     weighted = trust[:, None] * own
     unit = jnp.eye(own.shape[1], dtype=trust.dtype)[None]
     gram = jnp.where(active[:, :, None] & active[:, None], matmul(weighted, jnp.swapaxes(own, 1, 2)), unit)
+    if normals is not None:
+        gram = gram.at[:, -2:, -2:].add(matmul(normals, jnp.swapaxes(normals, 1, 2)))
     gram = gram + (1e-4 * jnp.diagonal(gram, axis1=1, axis2=2)[..., None] + 1e-6) * unit
     coupling = matmul(weighted, jnp.swapaxes(slopes.numbers, 1, 2))
     coupling = jnp.where(active[..., None], coupling, 0)
     response = jnp.linalg.solve(gram, coupling)
     hessian = jnp.einsum("ngl,nhl->gh", trust[:, None] * slopes.numbers, slopes.numbers)
     hessian = hessian - jnp.einsum("nag,nah->gh", coupling, response) + prior
+    if not len(hessian):
+        return hessian, response[:, -2:]
     scale = 1 / jnp.sqrt(jnp.maximum(jnp.diagonal(hessian), jnp.finfo(trust.dtype).tiny))
     # Scaled, so that the ridge means the same for all; rounding may leave tiny negative eigenvalues.
     values, vectors = jnp.linalg.eigh(scale[:, None] * hessian * scale[None])

@@ -21,6 +21,7 @@ from hshjax.stereo._chart import to_chart, within
 from hshjax.stereo._history import History, Progress
 from hshjax.stereo._joint import (
     Coordinates,
+    InBounds,
     Material,
     NearLights,
     NearMaterial,
@@ -34,7 +35,7 @@ from hshjax.stereo._joint import (
     of_prior,
     slopes_at,
 )
-from hshjax.stereo._learn import BEST, LARGEST_GAIN, STIFFNESS, Shared
+from hshjax.stereo._learn import BEST, START, STIFFNESS, Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._refine import weigh
 from hshjax.stereo._result import Stereo
@@ -46,8 +47,9 @@ from hshjax.stereo._turned import tangents
 GRID = 13
 """Nodes along a side of the chart, where materials are held near those of the start."""
 
-SETTLED = 1e-4
-"""Relative change of the loss at which a round ends."""
+SETTLED, STILL = 1e-4, 0.05
+"""A round ends where the loss changes by less than this share of it, and every unknown by less than this part of what
+photographs leave open."""
 
 
 def amplitudes(brdf: AbstractBRDF) -> Any:
@@ -68,9 +70,9 @@ def refine_jointly(
     brdf: bool | Callable[[AbstractBRDF], Any] = True,
     lights: bool = False,
     start: AbstractBRDF | None = None,
-    pixels: int = 3000,
+    pixels: int = 2000,
     rounds: int = 3,
-    steps: int = 40,
+    steps: int = 25,
     stiffness: float = 1.0,
     turns: float = 0.01,
     gains: float = 0.03,
@@ -83,7 +85,8 @@ def refine_jointly(
     Two stages. On some pixels, those that are explained best, everything chosen moves at once by `hshjax.fit`: ½ Σ
     trust (values - Eq. 1)² over the noise, and priors that hold each unknown near the start. Residuals are judged by
     Tukey's biweight, whose weights are found anew in each round, with scales that are those of the start: the robust
-    loss falls from round to round. Then, with what pixels share held, each normal follows by the same loss, tile by tile.
+    loss falls from round to round, or the refinement ends. Then, with what pixels share held, each normal follows by the
+    same loss, tile by tile.
 
     - `normals`, `brdf`, `lights`: what moves. `brdf=True`: what the model is linear in (`amplitudes`); or a function
       that picks parts, as `trainable` of `fit`: `lambda brdf: brdf.a.b.brdf.roughness`.
@@ -114,7 +117,7 @@ def refine_jointly(
     found = Rendered(model, observations.directions, jnp.ones(photographs.count, jnp.float32))
     if found.columns != stereo.weights.shape[1]:
         raise ValueError(f"the BRDF has {found.columns} channels, the result {stereo.weights.shape[1]} materials")
-    solver = optx.LBFGS(rtol=SETTLED, atol=SETTLED) if solver is None else solver
+    solver = optx.LBFGS(rtol=SETTLED, atol=STILL) if solver is None else solver
     pq = np.asarray(to_chart(jnp.asarray(stereo.normals, jnp.float32)))
     settings = _Settings(solver, rounds, steps, stiffness, turns, gains)
     some = observations.some(pixels, np.random.default_rng(seed))
@@ -153,13 +156,14 @@ class _Problem(NamedTuple):
     """Pixels that are looked at, relative to their brightness.
 
     - `values`, `plain` `(n, lights)`: and the trust in them before residuals are judged. - `scale` `(n, 1)`: of the
-      judgement. - `pq`: normals to begin with. - `noise`: weighted mean square at the start.
+      judgement. - `pq`: normals to begin with, and the `residual` there. - `noise`: its weighted mean square.
     """
 
     values: Float[Array, "n lights"]
     plain: Float[Array, "n lights"]
     scale: Float[Array, "n 1"]
     pq: Float[Array, "n 2"]
+    residual: Float[Array, "n lights"]
     noise: float
 
     @classmethod
@@ -170,7 +174,12 @@ class _Problem(NamedTuple):
         masked = jnp.asarray(stereo.outliers[part] | stereo.shadows[part])
         plain = jnp.where(masked, 0, initial_trust(values, seen.known))
         pq = jnp.asarray(pq)
-        residual = _residual(shading, pq, values, plain)
+        found = _at(shading, pq)
+        residual = _left(found, values, plain)
+        for _ in range(START):  # the weights, too, are to be those of the robust loss
+            residual = _left(
+                found, values, plain * biweight(residual, residual_scale(jnp.where(plain > 0, residual, 0)))
+            )
         if best:
             misfit = jnp.mean(jnp.minimum(plain * jnp.abs(residual), 0.3), axis=1)
             kept = np.flatnonzero(np.asarray(misfit <= jnp.quantile(misfit, BEST)))
@@ -182,7 +191,7 @@ class _Problem(NamedTuple):
             if total == 0:
                 raise ValueError("the result masks every value of the pixels that were drawn: nothing is left to fit")
             noise = max(float(jnp.sum(trust * residual**2)) / total, 1e-8)  # float32 knows no less
-        return cls(values, plain, scale, pq, noise)
+        return cls(values, plain, scale, pq, residual, noise)
 
     def trust(self, residual: Float[Array, "n lights"]) -> Float[Array, "n lights"]:
         """In units of the noise's inverse variance."""
@@ -212,10 +221,12 @@ class _State(NamedTuple):
     @classmethod
     def of(cls, coordinates: Coordinates, unknowns: Unknowns, before: Array) -> "_State":
         """Where unknowns have led to."""
+        low, high = coordinates.material.bounds
+        y = jnp.clip(coordinates.numbers(unknowns), low, high)  # what `InBounds` has left outside
         shading = coordinates.shading(unknowns)
         length = jnp.linalg.norm(shading.directions, axis=1, keepdims=True)
         return cls(
-            shading.brdf, coordinates.numbers(unknowns), within(coordinates.normals(unknowns)),
+            coordinates.material.at(y), y, within(coordinates.normals(unknowns)),
             shading.directions / length, jnp.log(shading.gains), before + coordinates.turns(unknowns),
         )  # fmt: skip
 
@@ -230,12 +241,16 @@ def _together(problem, found, material, settings, normals, lights, done) -> tupl
     if not moves:
         return state, {}
     prior = _Prior.of(problem, found, material, settings)
-    losses, steps = [], 0
+    losses, steps, residual = [], 0, problem.residual
     for _ in range(settings.rounds):
-        state, (before, after, taken) = _round(problem, prior, state, material, settings, moves)
-        losses += [before, after]
-        steps += taken
+        moved, left, found = _round(problem, prior, state, residual, material, settings, moves)
+        losses.append(found.before)
+        steps += int(found.steps)
         done()
+        if not found.after < found.before:  # at the optimum, to rounding and to what bounds cut off
+            break
+        state, residual = moved, left
+        losses.append(found.after)
     figures = {"noise": problem.noise, "loss_start": losses[0], "loss_end": losses[-1], "steps": float(steps)}
     if lights:
         figures["turned"] = float(jnp.degrees(jnp.mean(jnp.linalg.norm(state.before[:, :2], axis=1))))
@@ -251,29 +266,37 @@ class _Prior(NamedTuple):
     materials: Array
     root: Array
     lights: Array
+    directions: Array
 
     @classmethod
     def of(cls, problem, found, material, settings) -> "_Prior":
         """About the start."""
         pq = jnp.asarray(nodes(GRID))
         shading = _at(found, pq)
-        trust = problem.trust(_residual(found, problem.pq, problem.values, problem.plain))
+        trust = problem.trust(problem.residual)
         slopes = slopes_at(material, material.start, found, problem.pq, problem.values, trust)
         amount = jnp.sum(trust) * problem.noise
         materials = STIFFNESS * amount * jnp.mean(slopes.weights**2, axis=0) / (len(pq) * len(found.directions))
         deviations = jnp.asarray([settings.turns, settings.turns, settings.gains], jnp.float32)
         root = of_normals(slopes, settings.stiffness * trust)
-        return cls(pq, shading, materials, root, amount / trust.shape[1] / deviations**2)
+        return cls(pq, shading, materials, root, amount / trust.shape[1] / deviations**2, found.directions)
 
 
-def _round(problem, prior, state, material, settings, moves) -> tuple[_State, tuple[float, float, int]]:
-    """A round: coordinates about the state and a fit. The new state, the whole loss before and after, and steps."""
+class _Found(NamedTuple):
+    """The whole loss before and after a round, and its steps."""
+
+    before: float
+    after: float
+    steps: Any
+
+
+def _round(problem, prior, state, residual, material, settings, moves) -> tuple[_State, Array, _Found]:
+    """A round: coordinates about the state and a fit. The new state and its residual."""
     rendered = state.shading
-    residual = _residual(rendered, state.pq, problem.values, problem.plain)
     trust = problem.trust(residual)
     slopes = slopes_at(material, state.y, rendered, state.pq, problem.values, trust)
     metric = of_prior(material, state.y, rendered, prior.pq, prior.materials)
-    mix, response = of_numbers(slopes, trust, metric, "normals" in moves)
+    mix, response = of_numbers(slopes, trust, prior.root if "normals" in moves else None, metric)
     across = jnp.asarray(tangents(np.asarray(state.directions, float)), jnp.float32)
     own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
     scale = of_lights(slopes, trust, rendered, state.pq, across, prior.lights)
@@ -283,19 +306,31 @@ def _round(problem, prior, state, material, settings, moves) -> tuple[_State, tu
     )  # fmt: skip
     terms = {
         "normals": NearNormals(problem.pq, prior.root, coordinates),
-        "brdf": NearMaterial(prior.pq, prior.start, prior.materials, coordinates),
+        "brdf": NearMaterial(prior.pq, prior.start, prior.materials, prior.directions, coordinates),
         "lights": NearLights(state.before, prior.lights, coordinates),
     }
     objective = {"photographs": Photometric(problem.values, trust, coordinates)} | {name: terms[name] for name in moves}
+    if "brdf" in moves:
+        objective["bounds"] = InBounds(coordinates)
     zero = Unknowns(jnp.zeros_like(state.pq), jnp.zeros_like(state.y), jnp.zeros_like(scale))
     fitted = fit(
         zero, objective, settings.solver, max_steps=settings.steps, throw=False,
         trainable=lambda unknowns: tuple(getattr(unknowns, name) for name in moves),
     )  # fmt: skip
-    state = _State.of(coordinates, fitted.model, state.before)
-    after = _residual(state.shading, state.pq, problem.values, problem.plain, trust)
-    held = [float(sum(loss for name, loss in losses.items() if name != "photographs")) for losses in (fitted.start_losses, fitted.losses)]
-    return state, (problem.robust(residual) + held[0], problem.robust(after) + held[1], int(fitted.steps))
+    moved = _State.of(coordinates, fitted.model, state.before)
+    left = _left(_at(moved.shading, moved.pq), problem.values, trust)
+    found = _Found(
+        _loss(problem, prior, terms, state, residual), _loss(problem, prior, terms, moved, left), fitted.steps
+    )
+    return moved, left, found
+
+
+def _loss(problem, prior, terms, state, residual) -> float:
+    """The whole robust loss of a state."""
+    near = _near(terms["brdf"], state.brdf) if state.y.size else jnp.zeros(1)
+    normals = jnp.einsum("nji,nj->ni", prior.root, state.pq - problem.pq)
+    lights = jnp.sqrt(prior.lights)[None] * state.before
+    return problem.robust(residual) + float(sum(jnp.sum(part**2) for part in (near, normals, lights))) / 2
 
 
 def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np.ndarray, "pixels 2"]:
@@ -306,11 +341,13 @@ def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np
     found = np.empty_like(pq)
     for part in observations.slices():
         problem = _Problem.of(observations, stereo, shared, part, pq[part], noise=noise)
-        now = problem.pq
-        first = problem.trust(_residual(shared, now, problem.values, problem.plain))
-        keep = of_normals(slopes_at(nothing, still[0, :0], shared, now, problem.values, first), settings.stiffness * first)
+        now, residual = problem.pq, problem.residual
+        first = problem.trust(residual)
+        keep = of_normals(
+            slopes_at(nothing, still[0, :0], shared, now, problem.values, first), settings.stiffness * first
+        )
         for _ in range(settings.rounds):
-            trust = problem.trust(_residual(shared, now, problem.values, problem.plain))
+            trust = problem.trust(residual)
             slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, trust)
             own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
             coordinates = Coordinates(
@@ -326,6 +363,7 @@ def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np
                 zero, objective, settings.solver, max_steps=settings.steps, throw=False, trainable=_own_normals
             )
             now = within(coordinates.normals(fitted.model))
+            residual = _left(_at(shared, now), problem.values, trust)
         found[part] = np.asarray(now)[: part.stop - part.start]
         done()
     return found
@@ -341,13 +379,17 @@ def _at(shading: Rendered, pq: Float[Array, "n 2"]) -> Float[Array, "n materials
 
 
 @eqx.filter_jit
-def _residual(
-    shading: Rendered, pq: Float[Array, "n 2"], values: Float[Array, "n lights"], *trusts: Float[Array, "n lights"]
+def _near(term: NearMaterial, brdf: AbstractBRDF) -> Float[Array, "nodes materials lights"]:
+    return term.of(brdf)
+
+
+@eqx.filter_jit
+def _left(
+    shading: Float[Array, "n materials lights"], values: Float[Array, "n lights"], trust: Float[Array, "n lights"]
 ) -> Float[Array, "n lights"]:
-    """What the best weights leave: those for the last trust."""
-    found = shading.at(pq)
-    weights, _ = weigh(found, values, trusts[-1])
-    return values - jnp.sum(weights[..., None] * found, axis=1)
+    """What the best weights leave."""
+    weights, _ = weigh(shading, values, trust)
+    return values - jnp.sum(weights[..., None] * shading, axis=1)
 
 
 def _under(observations: Observations, state: _State) -> Observations:
@@ -355,7 +397,9 @@ def _under(observations: Observations, state: _State) -> Observations:
     given = observations.lights
     gains = state.gains - jnp.median(state.gains)
     turned = jax.vmap(DirectionalLight)(
-        state.directions, given.irradiance * jnp.exp(gains).astype(given.irradiance.dtype).reshape(-1, *[1] * (given.irradiance.ndim - 1))
+        state.directions,
+        given.irradiance
+        * jnp.exp(gains).astype(given.irradiance.dtype).reshape(-1, *[1] * (given.irradiance.ndim - 1)),
     )
     return Observations(replace(observations.photographs, lights=turned))
 

@@ -1,6 +1,7 @@
 """Shading: the view is fixed, so that what a light makes of an isotropic BRDF depends on the normal alone.
 
-Tabulated over the chart of normals, every BRDF costs the same a pixel: four rows of a table. `Rendered` is Eq. 1 itself.
+Tabulated over the chart of normals, every BRDF costs the same a pixel: four rows of a table. `Rendered` is Eq. 1
+itself.
 """
 
 import abc
