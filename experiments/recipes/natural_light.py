@@ -1,4 +1,4 @@
-"""Shape and light from one photograph, or three, in natural illumination: what is found where one or both are unknown."""
+"""Shape and light from one photograph, or three, in natural illumination, where one of them is unknown or both are."""
 
 import dataclasses
 from typing import Annotated, Any, Literal
@@ -51,22 +51,23 @@ class Config(RecipeConfig):
     )  # fmt: skip
     size: Annotated[int, Field(ge=12, description="pixels along a side")] = 64
     truth_order: Annotated[int, Field(ge=2, description="of light that makes photographs")] = 8
-    orders: Annotated[dict[str, int], Field(description="of light that is looked for, by material")] = {
-        "lambert": 2, "glossy": 4,
-    }  # fmt: skip
+    lambert_order: Annotated[int, Field(ge=0, description="of light that is looked for, on Lambert's surfaces")] = 2
+    glossy_order: Annotated[int, Field(ge=0, description="of light that is looked for, on glossy ones")] = 4
     noise: Annotated[float, Field(gt=0, description="of values, over the photograph's root mean square")] = 0.01
     cases: Annotated[tuple[str, ...], Field(description="of `CASES`")] = tuple(CASES)
     steps: Annotated[int, Field(ge=1, description="of a fit at most")] = 500
 
 
 def run(config: Config, record: Record) -> None:
+    first = local_path(config.environments[0]).name
     record.paragraph(
-        f"Photographs of {config.size} x {config.size} pixels in the light of `{local_path(config.environments[0]).name}` "
-        f"as a series of order {config.truth_order} (three: all maps), noise {config.noise:.0%}. A known light is that "
-        "series; an unknown one is looked for up to the order of the table. Error: mean angle of normals. Dome: that of "
-        "the start, which knows the outline alone. Spread: the largest mean angle between the best solution and another "
-        "whose loss is within 2 % of its. Light: relative error of the radiance that a white Lambert sphere turned to "
-        "the camera would have."
+        f"Photographs of {config.size} x {config.size} pixels in the light of `{first}` as a series of order "
+        f"{config.truth_order} (three: all maps), noise {config.noise:.0%}. A known light is that series; an unknown "
+        f"one is looked for up to order {config.lambert_order} (Lambert) or {config.glossy_order} (glossy: Lambert and "
+        "GGX of roughness 0.4, half each, as a series of order 6, known). Error: mean angle of normals [degrees]. Dome: "
+        "that of the start, which knows the outline alone. Residual: over the photograph's root mean square. Spread: "
+        "the largest mean angle between the best solution and another whose loss is within 2 % of its. Light: relative "
+        "error of the radiance of a white Lambert sphere in the light that was found."
     )
     rows, shown = [], {}
     todo = [(s, m, c) for m in config.materials for s in config.shapes for c in config.cases]
@@ -109,6 +110,10 @@ def _lights(config: Config) -> list[HarmonicLight]:
     return [of(path) for path in config.environments[:3]]
 
 
+def _order(config: Config, material: str) -> int:
+    return config.lambert_order if material == "lambert" else config.glossy_order
+
+
 def _brdf(name: str) -> Any:
     if name == "lambert":
         return Lambert(1.0)
@@ -137,7 +142,7 @@ def _case(config: Config, shape: str, material: str, name: str) -> dict[str, Any
     given = _photographs(config, shape, material, case)
     photographs = dataclasses.replace(given, lights=None) if case.get("unknown") else given
     found = solve_natural(
-        photographs, brdf=_brdf(material), order=config.orders[material], noise=config.noise, steps=config.steps
+        photographs, brdf=_brdf(material), order=_order(config, material), noise=config.noise, steps=config.steps
     )
     errors = angular_errors(found.normals, given.truth)
     outline = Inflated.of(given.mask, jnp.result_type(float))
@@ -171,7 +176,7 @@ def _shading_error(found: Any, true: Any) -> float:
 
 def _light(config: Config, shape: str, material: str) -> dict[str, Any]:
     given = _photographs(config, shape, material, {})
-    order = config.orders[material]
+    order = _order(config, material)
     found = light_from_shape(given.values[:, 0], given.truth, brdf=_brdf(material), order=order)
     level = np.sqrt(np.mean(given.values[:, 0] ** 2))
     true = given.lights.coefficients

@@ -66,11 +66,12 @@ def run(config: Config, record: Record) -> None:
             )
     record.paragraph(
         f"Of each object {config.held} photographs are left out (`numpy.random.default_rng(s).choice`, mean over "
-        f"{config.draws} draws, s = 0, 1, ...), every {config.step}th pixel either way is looked at. The rest is "
-        "solved, and the photographs left out are predicted. Errors: root mean square of prediction less photograph over that of "
-        f"the photograph, all channels, over values with n·l > {LIT}. Masks are those of a solution of ALL "
-        "photographs, so that no prediction decides by itself what it is judged by: outliers, and shadows (values below 0.15 of the "
-        "pixel's 90 % quantile), which cast shadows are among. Masked: the share of all values that do not count."
+        f"{config.draws} draws, s = 0, 1, ...); one pixel of {config.step} either way is looked at. The rest is "
+        "solved, and the photographs left out are predicted. Errors: root mean square of prediction less photograph "
+        f"over that of the photograph, all channels, over values with n·l > {LIT}. Masks are those of a solution of "
+        "ALL photographs, so that no prediction decides by itself what it is judged by: outliers, and shadows (values "
+        "below 0.15 of the pixel's 90 % quantile), which cast shadows are among. Masked: the share of values that do "
+        "not count."
     )
     record.table("held_out", rows, "Errors of prediction, angles in degrees.", printed=True)
 
@@ -100,7 +101,6 @@ def _draw(config: Config, path: str, seed: int) -> dict[str, dict[str, float]]:
         begin = time.perf_counter()
         refined = _refined(config, stereo, seen, **REFINED[title])
         found[title] = _figures(refined, judge, parts) | {"seconds": time.perf_counter() - begin}
-        print(path, title, found[title], flush=True)
     return found
 
 

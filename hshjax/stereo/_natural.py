@@ -29,8 +29,8 @@ NEAR = 1.02
 """Starts agree with the best where their loss is below this times the least."""
 
 RIM = 0.15
-"""Error of n_z that pixels of an outline make, times the height of the dome there [pixels]: the outline is known to half a
-pixel, and a sphere's n_z at a height z errs by up to 1 / 4z then. Radiance is trusted accordingly."""
+"""Error of n_z that pixels of an outline make, times the height of the dome there [pixels]: the outline is known to
+half a pixel, and a sphere's n_z at a height z errs by up to 1 / 4z then. Radiance is trusted accordingly."""
 
 STEADY = 1e-5
 """A fit ends where the loss changes by less than this share of it, and fields by less than this."""
@@ -82,8 +82,8 @@ def solve_natural(
     """Shape, and light where it is unknown, from one to a few photographs in light from all around.
 
     A surface that bulges out of its outline, whose normals look outwards all along it, is fitted by gradients through
-    Eq. 1 (`hshjax.fit`), as a sum of coarse and fine forms. Where `photographs.lights` is None, light is a series of spherical
-    harmonics that is always the best one for the shape, in closed form (variable projection).
+    Eq. 1 (`hshjax.fit`), as a sum of coarse and fine forms. Where `photographs.lights` is None, light is a series of
+    spherical harmonics that is always the best one for the shape, in closed form (variable projection).
 
     - `photographs`: each in a light of its own. `lights`: many `HarmonicLight` in one, known; or None.
     - `brdf`: isotropic, known, of one channel or those of the photographs; None: `Lambert(1)`. `albedo`: its factors

@@ -1,5 +1,7 @@
 """Natural illumination from photographs of a known shape and material: linear, and honest about what it cannot tell."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -20,8 +22,8 @@ class NaturalLight(eqx.Module):
 
     - `light`: the series of least norm among those that fit as well; what is not determined is 0 in it.
     - `deviation` `(modes, channels)`: standard deviation of what is determined of each coefficient, by `noise`.
-    - `seen` `(modes, channels)`: the share of each coefficient that is determined, 0 to 1: a coefficient of 0.5 is known
-      in a sum with others alone.
+    - `seen` `(modes, channels)`: the share of each coefficient that is determined, 0 to 1: one of 0.5 is known in a sum
+      with others alone.
     - `determined` `(channels,)`: how many combinations of coefficients are, of all `modes`. - `condition`
       `(channels,)`: largest over least singular value of all, infinite where the least is rounding.
     - `noise` `(channels,)`: standard deviation of what is not explained [radiance].
@@ -56,8 +58,8 @@ def light_from_shape(
     Least squares by singular values. Radiance is linear in light; Eq. 1 for each harmonic is a column, by `reflect`. Of
     Lambert's law order 2 holds 98 % of all there is, and odd orders above 1 leave no trace.
 
-    **Raises:** ValueError for shapes that do not fit, a negative order, a tolerance that is not above 0, and fewer known
-    pixels than coefficients.
+    **Raises:** ValueError for shapes that do not fit, a negative order, a tolerance that is not above 0, and fewer
+    known pixels than coefficients.
     """
     image, points = np.asarray(values, float), np.asarray(normals, float)
     if image.ndim != 2 or points.shape != (len(image), 3):
@@ -97,7 +99,7 @@ def _columns(brdf, modes, normals):
     return jnp.moveaxis(jax.lax.map(under, jnp.eye(modes, dtype=normals.dtype)), 0, 1)
 
 
-def _channel(design: np.ndarray, values: np.ndarray, tolerance: float) -> tuple[np.ndarray, ...]:
+def _channel(design: np.ndarray, values: np.ndarray, tolerance: float) -> tuple[Any, ...]:
     """Of one channel: coefficients, deviations, shares that are seen, how many are, condition, noise."""
     left, singular, right = np.linalg.svd(design, full_matrices=False)
     moment = left.T @ values

@@ -85,8 +85,8 @@ def refine_jointly(
     Two stages. On some pixels, those that are explained best, everything chosen moves at once by `hshjax.fit`: ½ Σ
     trust (values - Eq. 1)² over the noise, and priors that hold each unknown near the start. Residuals are judged by
     Tukey's biweight, whose weights are found anew in each round, with scales that are those of the start: the robust
-    loss falls from round to round, or the refinement ends. Then, with what pixels share held, each normal follows by the
-    same loss, tile by tile.
+    loss falls from round to round, or the refinement ends. Then, with what pixels share held, each normal follows by
+    the same loss, tile by tile.
 
     - `normals`, `brdf`, `lights`: what moves. `brdf=True`: what the model is linear in (`amplitudes`); or a function
       that picks parts, as `trainable` of `fit`: `lambda brdf: brdf.a.b.brdf.roughness`.
