@@ -57,7 +57,7 @@ class Material(eqx.Module):
     def start(self) -> Float[Array, " numbers"]:
         """The numbers of the BRDF as it is."""
         leaves = jax.tree.leaves(self.moving)
-        return ravel_pytree(leaves)[0] if leaves else jnp.zeros(0, jnp.float32)
+        return ravel_pytree(leaves)[0] if leaves else jnp.zeros(0)
 
     @property
     def bounds(self) -> tuple[Float[Array, " numbers"], Float[Array, " numbers"]]:

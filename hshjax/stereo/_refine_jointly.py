@@ -99,7 +99,7 @@ def refine_jointly(
       of them once, with the noise that is found: errors of a model do not average out as noise does.
     - `solver`: of `fit`; None: `optimistix.LBFGS`. - `seed`: of the choice of pixels. - `progress`: as elsewhere.
 
-    Values that `stereo` masks (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are
+    Works in jax's default float; what is returned is float32, as elsewhere. Values that `stereo` masks (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are
     found anew. `history` goes on with stages "joint" and "follow", with the losses at start and end.
 
     **Raises:** ValueError for photographs that do not belong to the result, for a BRDF of another number of channels
@@ -112,9 +112,10 @@ def refine_jointly(
     for name, value, limit in (("stiffness", stiffness, -1e-30), ("turns", turns, 0), ("gains", gains, 0)):
         if not value > limit:
             raise ValueError(f"{name} must be {'at least' if name == 'stiffness' else 'above'} 0, got {value}")
-    model = in_dtype(stereo.brdf if start is None else start, jnp.float32)
+    dtype = jnp.result_type(float)
+    model = in_dtype(stereo.brdf if start is None else start, dtype)
     observations, history = Observations(replace(photographs, lights=stereo.lights)), History(progress)
-    found = Rendered(model, observations.directions, jnp.ones(photographs.count, jnp.float32))
+    found = Rendered(model, observations.directions.astype(dtype), jnp.ones(photographs.count, dtype))
     if found.columns != stereo.weights.shape[1]:
         raise ValueError(f"the BRDF has {found.columns} channels, the result {stereo.weights.shape[1]} materials")
     solver = optx.LBFGS(rtol=SETTLED, atol=STILL) if solver is None else solver
@@ -130,15 +131,17 @@ def refine_jointly(
     with history.stage("follow", observations.steps) as done:
         if lights:
             observations = _under(observations, state)
-        shared = Rendered(state.brdf, observations.directions, jnp.ones_like(state.gains))
+        shared = Rendered(state.brdf, observations.directions.astype(dtype), jnp.ones_like(state.gains))
         if normals:
             pq = _follow(observations, stereo, shared, pq, settings, problem.noise, done)
+    brdf_found = in_dtype(state.brdf, jnp.float32)
     with history.stage("reflectance", observations.steps) as done:
-        still = Shared(jnp.zeros((0, 0)), jnp.asarray(stereo.stray, jnp.float32), problem.noise, state.gains)
-        end = finish(observations, shared, still, pq, done)
+        one = jnp.ones(photographs.count, jnp.float32)
+        still = Shared(jnp.zeros((0, 0)), jnp.asarray(stereo.stray, jnp.float32), problem.noise, one)
+        end = finish(observations, Rendered(brdf_found, observations.directions, one), still, pq, done)
         done.figures["outliers"] = float(np.mean(end["outliers"]))
     return Stereo(
-        brdf=state.brdf, lights=observations.lights, stray=stereo.stray, mask=stereo.mask,
+        brdf=brdf_found, lights=observations.lights, stray=stereo.stray, mask=stereo.mask,
         history=(*stereo.history, *history.stages), **end,
     )  # fmt: skip
 
@@ -170,10 +173,11 @@ class _Problem(NamedTuple):
     def of(cls, observations, stereo, shading, part, pq, *, best=False, noise=None) -> "_Problem":
         """Of some pixels of a result; `best`: of those that fit best alone."""
         seen = observations.pixels(part)
-        values = seen.without(jnp.asarray(stereo.stray, jnp.float32))
+        dtype = shading.directions.dtype
+        values = seen.without(jnp.asarray(stereo.stray, jnp.float32)).astype(dtype)
         masked = jnp.asarray(stereo.outliers[part] | stereo.shadows[part])
-        plain = jnp.where(masked, 0, initial_trust(values, seen.known))
-        pq = jnp.asarray(pq)
+        plain = jnp.where(masked, 0, initial_trust(values, seen.known.astype(dtype)))
+        pq = jnp.asarray(pq, dtype)
         found = _at(shading, pq)
         residual = _left(found, values, plain)
         for _ in range(START):  # the weights, too, are to be those of the robust loss
@@ -233,7 +237,7 @@ class _State(NamedTuple):
 
 def _together(problem, found, material, settings, normals, lights, done) -> tuple[_State, dict[str, float]]:
     """All that moves, in rounds; the last state, and the whole loss before and after."""
-    still = jnp.zeros((len(found.directions), 3), jnp.float32)
+    still = jnp.zeros((len(found.directions), 3), found.directions.dtype)
     state = _State(found.brdf, material.start, problem.pq, found.directions, still[:, 0], still)
     moves = tuple(
         name for name, there in (("normals", normals), ("brdf", material.start.size > 0), ("lights", lights)) if there
@@ -271,13 +275,13 @@ class _Prior(NamedTuple):
     @classmethod
     def of(cls, problem, found, material, settings) -> "_Prior":
         """About the start."""
-        pq = jnp.asarray(nodes(GRID))
+        pq = jnp.asarray(nodes(GRID), found.directions.dtype)
         shading = _at(found, pq)
         trust = problem.trust(problem.residual)
         slopes = slopes_at(material, material.start, found, problem.pq, problem.values, trust)
         amount = jnp.sum(trust) * problem.noise
         materials = STIFFNESS * amount * jnp.mean(slopes.weights**2, axis=0) / (len(pq) * len(found.directions))
-        deviations = jnp.asarray([settings.turns, settings.turns, settings.gains], jnp.float32)
+        deviations = jnp.asarray([settings.turns, settings.turns, settings.gains], trust.dtype)
         root = of_normals(slopes, settings.stiffness * trust)
         return cls(pq, shading, materials, root, amount / trust.shape[1] / deviations**2, found.directions)
 
@@ -297,7 +301,7 @@ def _round(problem, prior, state, residual, material, settings, moves) -> tuple[
     slopes = slopes_at(material, state.y, rendered, state.pq, problem.values, trust)
     metric = of_prior(material, state.y, rendered, prior.pq, prior.materials)
     mix, response = of_numbers(slopes, trust, prior.root if "normals" in moves else None, metric)
-    across = jnp.asarray(tangents(np.asarray(state.directions, float)), jnp.float32)
+    across = jnp.asarray(tangents(np.asarray(state.directions, float)), trust.dtype)
     own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
     scale = of_lights(slopes, trust, rendered, state.pq, across, prior.lights)
     coordinates = Coordinates(
@@ -336,8 +340,8 @@ def _loss(problem, prior, terms, state, residual) -> float:
 def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np.ndarray, "pixels 2"]:
     """Every normal, with all that is shared held."""
     nothing = Material.of(shared.brdf, jax.tree.map(lambda _: False, shared.brdf))
-    empty = jnp.zeros((0, 0), jnp.float32)
-    still = jnp.zeros((len(shared.directions), 3), jnp.float32)
+    dtype = shared.directions.dtype
+    empty, still = jnp.zeros((0, 0), dtype), jnp.zeros((len(shared.directions), 3), dtype)
     found = np.empty_like(pq)
     for part in observations.slices():
         problem = _Problem.of(observations, stereo, shared, part, pq[part], noise=noise)
@@ -351,8 +355,8 @@ def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np
             slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, trust)
             own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
             coordinates = Coordinates(
-                nothing, still[0, :0], empty, now, own, jnp.zeros((len(now), 2, 0), jnp.float32),
-                shared.directions, jnp.zeros((*still.shape[:1], 2, 3), jnp.float32), still[:, 0], still,
+                nothing, still[0, :0], empty, now, own, jnp.zeros((len(now), 2, 0), dtype),
+                shared.directions, jnp.zeros((len(still), 2, 3), dtype), still[:, 0], still,
             )  # fmt: skip
             objective = {
                 "photographs": Photometric(problem.values, trust, coordinates),
@@ -397,7 +401,7 @@ def _under(observations: Observations, state: _State) -> Observations:
     given = observations.lights
     gains = state.gains - jnp.median(state.gains)
     turned = jax.vmap(DirectionalLight)(
-        state.directions,
+        state.directions.astype(given.direction.dtype),
         given.irradiance
         * jnp.exp(gains).astype(given.irradiance.dtype).reshape(-1, *[1] * (given.irradiance.ndim - 1)),
     )
