@@ -92,10 +92,11 @@ def _draw(config: Config, path: str, seed: int) -> dict[str, dict[str, float]]:
     photographs = thinned(read_photographs(local_path(path)), config.step)
     left_out = np.sort(np.random.default_rng(seed).choice(photographs.count, config.held, replace=False))
     kept = np.setdiff1d(np.arange(photographs.count), left_out)
-    judge = solve_calibrated(photographs, **config.shortened)
+    settings: dict[str, Any] = dict(config.shortened)
+    judge = solve_calibrated(photographs, **settings)
     parts = {"seen": (kept, _some(photographs, kept)), "held out": (left_out, _some(photographs, left_out))}
     seen, begin = parts["seen"][1], time.perf_counter()
-    stereo = solve_calibrated(seen, **config.shortened)
+    stereo = solve_calibrated(seen, **settings)
     found = {ALTERNATION: _figures(stereo, judge, parts) | {"seconds": time.perf_counter() - begin}}
     for title in config.refined:
         begin = time.perf_counter()
@@ -134,7 +135,8 @@ def _some(photographs: Photographs, lights: np.ndarray) -> Photographs:
 
 
 def _error(stereo: Stereo, part: Photographs, predicted: np.ndarray, hidden: np.ndarray) -> tuple[float, float]:
-    direction = np.asarray(part.lights.direction, float)
+    lights: Any = part.lights
+    direction = np.asarray(lights.direction, float)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     counts = np.isfinite(part.values).all(axis=2) & (stereo.normals @ direction.T > LIT) & ~hidden
     missed = np.where(counts[..., None], predicted - part.values, 0).astype(float)

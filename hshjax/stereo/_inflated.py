@@ -105,7 +105,8 @@ def bending(
 
 def _size(shape: tuple[int, int], radius: float, level: int) -> tuple[int, int]:
     """Of a level's grid: nodes a radius apart at level 0, half of that at each further one."""
-    return tuple(max(2, min(n, round(n / radius * 2**level) + 1)) for n in shape)
+    rows, columns = (max(2, min(n, round(n / radius * 2**level) + 1)) for n in shape)
+    return rows, columns
 
 
 def _sum(levels: tuple[Array, ...], shape: tuple[int, int], dtype) -> Float[Array, "rows columns"]:
@@ -125,10 +126,11 @@ def _dome(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     number = np.cumsum(wide.ravel()).reshape(wide.shape) - 1
     row, column = np.nonzero(wide)
     count = len(row)
-    sides = {(0, 1): None, (0, -1): None, (-1, 0): None, (1, 0): None}
-    for step in sides:
+    sides = {}
+    for step in ((0, 1), (0, -1), (-1, 0), (1, 0)):
         there = wide[row + step[0], column + step[1]]
-        sides[step] = (np.where(there, number[row + step[0], column + step[1]], 0), there, np.where(there, 1.0, 0.5))
+        other = np.where(there, number[row + step[0], column + step[1]], 0)
+        sides[step] = other, there, np.where(there, 1.0, 0.5)
     rows, columns, values, diagonal = [], [], [], np.zeros(count)
     for step, back in (((0, 1), (0, -1)), ((0, -1), (0, 1)), ((-1, 0), (1, 0)), ((1, 0), (-1, 0))):
         other, there, near = sides[step]

@@ -218,8 +218,8 @@ def _term(photographs, shape, brdf, albedo, order, noise) -> Natural:
         light = jnp.broadcast_to(jnp.asarray(light, dtype), (*light.shape[:2], photographs.channels))
     rim = RIM / np.sqrt(np.asarray(shape.dome))[None, :, None]
     deviation = level * np.sqrt(noise**2 + rim**2)
-    arrays = (jnp.asarray(array, dtype) for array in (shown, known, deviation, level, albedo))
-    return Natural(shape, brdf, *arrays, light, order)
+    shown, known, deviation, level, albedo = (jnp.asarray(a, dtype) for a in (shown, known, deviation, level, albedo))
+    return Natural(shape, brdf, shown, known, deviation, level, albedo, light, order)
 
 
 def _check(photographs: Photographs, order: int, noise: float, bend: float, heights, steps: int) -> None:

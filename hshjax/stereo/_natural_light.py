@@ -104,7 +104,7 @@ def _channel(design: np.ndarray, values: np.ndarray, tolerance: float) -> tuple[
     left, singular, right = np.linalg.svd(design, full_matrices=False)
     moment = left.T @ values
     rounding = singular > singular[0] * len(singular) * np.finfo(np.float32).eps
-    kept = rounding
+    kept, noise = rounding, 0.0
     for _ in range(ROUNDS):
         found = np.where(kept, moment / np.where(kept, singular, 1), 0)
         residual = values - left @ (singular * found)

@@ -99,8 +99,9 @@ def refine_jointly(
       of them once, with the noise that is found: errors of a model do not average out as noise does.
     - `solver`: of `fit`; None: `optimistix.LBFGS`. - `seed`: of the choice of pixels. - `progress`: as elsewhere.
 
-    Works in jax's default float; what is returned is float32, as elsewhere. Values that `stereo` masks (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are
-    found anew. `history` goes on with stages "joint" and "follow", with the losses at start and end.
+    Values that `stereo` masks (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are
+    found anew. `history` goes on with stages "joint" and "follow", with the losses at start and end. Works in jax's
+    default float; what is returned is float32, as elsewhere.
 
     **Raises:** ValueError for photographs that do not belong to the result, for a BRDF of another number of channels
     than the materials, nothing to refine, and other arguments out of range.
@@ -373,7 +374,7 @@ def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np
     return found
 
 
-def _own_normals(unknowns: Unknowns) -> Array:
+def _own_normals(unknowns: Any) -> Any:
     return unknowns.normals
 
 
