@@ -63,11 +63,11 @@ def run(config: Config, record: Record) -> None:
     record.paragraph(
         f"Photographs of {config.size} x {config.size} pixels in the light of `{first}` as a series of order "
         f"{config.truth_order} (three: all maps), noise {config.noise:.0%}. A known light is that series; an unknown "
-        f"one is looked for up to order {low} (Lambert) or {high} (glossy: Lambert and GGX of roughness 0.4, half "
-        "each, as a series of order 6, known). Error: mean angle of normals [degrees]. Dome: that of the start, which knows "
-        "the outline alone. Residual: over the photograph's root mean square. Spread: the largest mean angle between "
-        "the best solution and another whose loss is within 2 % of its. Light: relative error of the radiance of a "
-        "white Lambert sphere in the light that was found."
+        f"one is looked for up to order {low} (Lambert) or {high} (glossy: half Lambert, half GGX of roughness 0.4, as "
+        "a series of order 6, known). Error: mean angle of normals [degrees]. Dome: that of the start, which knows the "
+        "outline alone. Residual: over the photograph's root mean square. Spread: the largest mean angle between the "
+        "best solution and another whose loss is within 2 % of its. Light: relative error of the radiance of a white "
+        "Lambert sphere in the light that was found."
     )
     rows, shown = [], {}
     todo = [(s, m, c) for m in config.materials for s in config.shapes for c in config.cases]
