@@ -133,6 +133,7 @@ def test_normals_alone():
     assert np.max(angular_errors(found.normals, stereo.normals)) > 0.01
 
 
+@pytest.mark.slow
 def test_wrong_normals_and_weights_are_put_right():
     """Every normal is turned by 3 degrees; photographs without noise put nearly all of it right, as nothing is held."""
     photographs, stereo = solved()
