@@ -14,6 +14,7 @@ from hshjax._typing import Array, Float
 from hshjax.brdfs import AbstractBRDF
 from hshjax.brdfs._base import in_dtype
 from hshjax.fitting import fit
+from hshjax.fitting._bounds import declaration
 from hshjax.fitting._fit import Solver, chosen
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import Photographs
@@ -56,8 +57,9 @@ def amplitudes(brdf: AbstractBRDF) -> Any:
     """Which numbers a BRDF is linear in: coefficients of series and factors of multiples, a tree of booleans."""
 
     def linear(path, leaf):
-        name = getattr(path[-1], "name", "") if path else ""
-        return eqx.is_inexact_array(leaf) and name in ("coefficients", "scale")
+        name, (_, metadata) = getattr(path[-1], "name", ""), declaration(brdf, path)
+        factor = name == "scale" and metadata.get("amplitude", False)  # warps of bases have scales, too
+        return eqx.is_inexact_array(leaf) and (name == "coefficients" or factor)
 
     return jax.tree_util.tree_map_with_path(linear, brdf)
 

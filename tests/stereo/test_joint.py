@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, IsotropicBasis
+from hshjax.bases import HSH, HalfVectorBasis, IsotropicBasis, LogWarp
 from hshjax.brdfs import GGX, Lambert, LinearBRDF
 from hshjax.brdfs._base import in_dtype
 from hshjax.lighting import DirectionalLight
@@ -78,6 +78,16 @@ def coordinates(count, lights):
         jnp.asarray(towards, DTYPE), jnp.asarray(tangents(towards), DTYPE),
         random(lights, scale=0.1), jnp.full((lights, 3), 0.1, DTYPE),
     )  # fmt: skip
+
+
+def test_amplitudes_are_what_a_brdf_is_linear_in():
+    """Not the scale of a warp, nor a roughness, nor the specular albedo that a factor multiplies already."""
+    basis = HalfVectorBasis(3, LogWarp(jnp.asarray(0.1)))
+    brdf = LinearBRDF(basis, jnp.ones((3, 2))) + GGX(1.0, 0.3) * jnp.ones(2)
+    moving = amplitudes(brdf)
+    assert sum(jax.tree.leaves(moving)) == 2
+    assert moving.a.coefficients
+    assert moving.b.scale
 
 
 def test_gradients_are_those_of_finite_differences():
