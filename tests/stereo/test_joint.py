@@ -133,6 +133,7 @@ def test_the_loss_falls_and_what_is_held_stays(lights):
     assert found.history[: len(stereo.history)] == stereo.history
 
 
+@pytest.mark.slow
 def test_normals_alone():
     photographs, stereo = solved()
     found = refine_jointly(stereo, photographs, brdf=False, **FEW)

@@ -209,6 +209,7 @@ def test_shape_in_known_light():
     assert result.image(result.normals).shape == (24, 24, 3)
 
 
+@pytest.mark.slow
 def test_shape_and_light_both_unknown():
     """Colours tell them apart, but hardly how high it is: what is found explains the photograph as well as the truth
     does, and starts that end as low may lie degrees apart, which `spread` says."""
