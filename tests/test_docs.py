@@ -21,14 +21,18 @@ RUN = [
             "fit_by_gradients",
             "fit_parameters",
             "light_a_surface",
+            "natural_light",
             "photographs",
             "photometric_stereo",
+            "refine_jointly",
             "use_as_a_layer",
         )
     ),
 ]
 
-LONG = ("fit_by_gradients", "fit_parameters", "light_a_surface", "photometric_stereo")
+LONG = (
+    "fit_by_gradients", "fit_parameters", "light_a_surface", "natural_light", "photometric_stereo", "refine_jointly",
+)  # fmt: skip
 """They compile whole fits or images, in a process of their own."""
 
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -10,7 +10,7 @@ def keep_programs() -> None:
     import jax
     from platformdirs import user_cache_path
 
-    if jax.config.jax_compilation_cache_dir is None:
+    if jax.config.values["jax_compilation_cache_dir"] is None:
         folder = user_cache_path("hshjax") / "programs"
         try:
             folder.mkdir(parents=True, exist_ok=True)

@@ -53,6 +53,10 @@ class Geometry(abc.ABC):
         """Vectors in frames of pixels, taken to the world."""
 
     @abc.abstractmethod
+    def local(self, world: Float[np.ndarray, "n 3"], part: Part) -> Float[np.ndarray, "n 3"]:
+        """Vectors in the world, taken to frames of pixels."""
+
+    @abc.abstractmethod
     def carried(
         self, pq: Float[np.ndarray, "pixels 2"], number: Int[np.ndarray, "n k"], part: Part
     ) -> Float[np.ndarray, "n k 2"]:
@@ -95,6 +99,9 @@ class Far(Geometry):
 
     def world(self, local, part):
         return local @ self._axes.astype(local.dtype)
+
+    def local(self, world, part):
+        return world @ self._axes.T.astype(world.dtype)
 
     def carried(self, pq, number, part):
         return pq[number]

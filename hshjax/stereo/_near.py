@@ -64,6 +64,9 @@ class Near(Geometry):
     def world(self, local, part):
         return np.einsum("nji,nj->ni", self._frames[part], local)
 
+    def local(self, world, part):
+        return np.einsum("nij,nj->ni", self._frames[part], world)
+
     def carried(self, pq, number, part):
         if not self._camera.needs_positions:
             return pq[number]  # one frame for all

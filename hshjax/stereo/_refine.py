@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from hshjax._typing import Array, Float
 from hshjax.bases._base import matmul
 from hshjax.stereo._chart import within
-from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._shading import AbstractShading
 from hshjax.stereo._trust import robust_trust
 from hshjax.stereo._weights import non_negative_weights, solve
 
@@ -37,14 +37,14 @@ def weigh(
 
 
 @eqx.filter_jit
-def predicted(table: ShadingTable, estimate: Estimate) -> Float[Array, "n lights"]:
+def predicted(table: AbstractShading, estimate: Estimate) -> Float[Array, "n lights"]:
     """Σ_k w_k shading_k."""
     return jnp.sum(estimate.weights[..., None] * table.at(estimate.pq), axis=1)
 
 
 @eqx.filter_jit
 def refine(
-    table: ShadingTable, values: Float[Array, "n lights"], trust: Float[Array, "n lights"], pq: Float[Array, "n 2"],
+    table: AbstractShading, values: Float[Array, "n lights"], trust: Float[Array, "n lights"], pq: Float[Array, "n 2"],
     steps: int = 8,
 ) -> Estimate:  # fmt: skip
     """The nearest local minimum of Σ_j trust (values - Σ_k w_k shading_k(normal))² over normals and w >= 0.
@@ -76,7 +76,7 @@ def refine(
 
 @eqx.filter_jit
 def robust_refine(
-    table: ShadingTable, values: Float[Array, "n lights"], plain: Float[Array, "n lights"], pq: Float[Array, "n 2"],
+    table: AbstractShading, values: Float[Array, "n lights"], plain: Float[Array, "n lights"], pq: Float[Array, "n 2"],
     rounds: int, steps: int,
 ) -> tuple[Estimate, Float[Array, "n lights"]]:  # fmt: skip
     """`refine` in rounds, and the trust in values after the last of them; the first trusts all that `plain` does."""

@@ -19,8 +19,28 @@ from hshjax.reflectance import reflect
 from hshjax.stereo._chart import grid
 
 
+class AbstractShading(eqx.Module):
+    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light: of some
+    pixels at their normals, in the chart about their view."""
+
+    @property
+    @abc.abstractmethod
+    def columns(self) -> int:
+        """Number of columns."""
+
+    @abc.abstractmethod
+    def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
+        """At normals of the pixels."""
+
+    @abc.abstractmethod
+    def with_slope(
+        self, pq: Float[Array, "n 2"]
+    ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
+        """The same, and its derivative in p and q."""
+
+
 class ShadingTables(eqx.Module):
-    """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light."""
+    """Such shading at nodes, of which the tables of pixels are made."""
 
     @property
     @abc.abstractmethod
@@ -45,22 +65,12 @@ class ShadingTables(eqx.Module):
         """The table of some pixels. `towards`: unit vectors to the lights, in the frame of each pixel's view."""
 
 
-class ShadingTable(ShadingTables):
-    """Shading of some pixels, or of all where it is the same for all."""
+class ShadingTable(ShadingTables, AbstractShading):
+    """Shading of some pixels, or of all where it is the same for all: linear between nodes."""
 
     @abc.abstractmethod
     def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTable":
         """Of linear combinations of the columns."""
-
-    @abc.abstractmethod
-    def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
-        """At normals of the pixels, in the chart about their view: linear between nodes."""
-
-    @abc.abstractmethod
-    def with_slope(
-        self, pq: Float[Array, "n 2"]
-    ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
-        """The same, and its derivative in p and q."""
 
 
 class FarTable(ShadingTable):

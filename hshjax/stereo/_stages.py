@@ -16,8 +16,9 @@ from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
 from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
+from hshjax.stereo._rendered import Rendered
 from hshjax.stereo._restart import refine_from_both
-from hshjax.stereo._shading import ShadingTable, ShadingTables
+from hshjax.stereo._shading import AbstractShading, ShadingTables
 from hshjax.stereo._trust import initial_trust, residual_scale
 
 
@@ -87,7 +88,11 @@ def _hand_on(table, values, plain, pq, near, far, there, smoothness):
 
 
 def finish(
-    observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"], done: Running
+    observations: Observations,
+    tables: ShadingTables | Rendered,
+    shared: Shared,
+    pq: Float[np.ndarray, "pixels 2"],
+    done: Running,
 ) -> dict[str, Any]:
     """Normals, weights in all channels, deviations, outliers and shadows."""
     photographs, materials = observations.photographs, tables.columns
@@ -132,7 +137,7 @@ def _weigh_channels(table, colour, known, trust, pq) -> Float[Array, "n material
 
 @eqx.filter_jit
 def predicted_deviation(
-    table: ShadingTable, values: Float[Array, "n lights"], trust: Float[Array, "n lights"], estimate: Estimate
+    table: AbstractShading, values: Float[Array, "n lights"], trust: Float[Array, "n lights"], estimate: Estimate
 ) -> Float[Array, " n"]:
     """Standard deviation of normals [radians]: of the normal equations, noise by the residuals. Root of the mean of the
     two directions' variances; infinite where there are no more values than unknowns."""

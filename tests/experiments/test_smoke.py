@@ -39,10 +39,12 @@ LONG = (
     "material_fit",
     "measured_fits",
     "mitsuba_spheres",
+    "natural_light",
     "paper_basis_sweep",
     "reciprocity_filter",
     "recovery",
     "stereo_ablation",
+    "stereo_held_out",
 )
 """Their smaller parts are tested by themselves; one makes an environment for another renderer."""
 
