@@ -132,7 +132,7 @@ def solve_single_image(
     found: dict[str, State] = {}
     for name in starts:
         with history.stage(name, len(energies)) as done:
-            found[name], steps = _from_start(name, energies, weights, scaled, done)
+            found[name], steps = from_start(name, energies, weights, scaled, done)
             known = energies[0].target.known > 0
             done.figures |= {
                 "energy": found[name].energy / photographs.pixels,
@@ -156,7 +156,7 @@ def solve_single_image(
     )  # fmt: skip
 
 
-def _from_start(name: str, energies: list[ReliefEnergy], weights: Weights, scaled: bool, done) -> tuple[State, int]:
+def from_start(name: str, energies: list[ReliefEnergy], weights: Weights, scaled: bool, done) -> tuple[State, int]:
     """The minimum that a start leads to, and how many steps it took."""
     coarsest = energies[-1]
     hill = dome(coarsest.corners)
