@@ -81,7 +81,7 @@ def with_fitted_lights(photographs: Photographs) -> Photographs:
         found.append(np.linalg.lstsq(photographs.truth[used], column[used], rcond=None)[0])
     directions = np.stack(found)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    lights = dataclasses.replace(photographs.lights, direction=jnp.asarray(directions))
+    lights = jax.vmap(DirectionalLight)(jnp.asarray(directions), photographs.lights.irradiance)
     return dataclasses.replace(photographs, lights=lights)
 
 

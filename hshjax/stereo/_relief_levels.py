@@ -3,11 +3,18 @@
 import numpy as np
 
 from hshjax._typing import Bool, Float
-from hshjax.stereo._corners import Corners
-from hshjax.stereo._relief_energy import Target
+from hshjax.stereo._corners import Corners, numbers
+from hshjax.stereo._relief_energy import Target, flattened, flattening
+from hshjax.stereo._relief_solve import factored
 
 COARSEST = 24
 """Root of the number of pixels, above which there is a coarser level."""
+
+UNBENT, UNMOVED = 1e-3, 1e-8
+"""How much bending counts in the interpolation, and what makes it unique where nothing bends."""
+
+STEEP = 0.999
+"""Longest x and y of an interpolated normal."""
 
 
 def levels(target: Target) -> list[Target]:
@@ -42,7 +49,39 @@ def _sums(mask: Bool[np.ndarray, "rows columns"], array: np.ndarray) -> np.ndarr
 
 
 def finer(heights: Float[np.ndarray, " corners"], coarse: Corners, fine: Corners) -> Float[np.ndarray, " finer"]:
-    """Heights at twice the resolution, in its pixels: corners of the coarse level are every other one of the fine."""
+    """Heights at twice the resolution, in its pixels, of nearly the same normals.
+
+    Heights between corners would do for these, but not for how they bend, of which steps of slopes from pixel to pixel
+    make a lot: the x and y of normals are interpolated (of those that have the coarse ones as means over 2 x 2 pixels,
+    those that bend least), and heights follow by least squares of how much normals turn.
+    """
+    from scipy import sparse
+
+    row, column = np.nonzero(fine.mask)
+    parent = numbers(coarse.mask)[row // 2, column // 2]
+    shares = 1 / np.bincount(parent)[parent]
+    means = sparse.csr_array((shares, (parent, np.arange(fine.pixels))), shape=(coarse.pixels, fine.pixels))
+    copied = flattened(coarse.slopes(heights))[parent]
+    bending = fine.second.T @ fine.second
+    # A change with a mean of 0 over 2 x 2 pixels, or nearly so.
+    matrix = means.T @ means + UNBENT * bending + UNMOVED * sparse.eye_array(fine.pixels)
+    flat = copied - factored(matrix).solve(UNBENT * (bending @ copied))
+    length = np.linalg.norm(flat, axis=1, keepdims=True)
+    flat = flat * np.minimum(1, STEEP / np.maximum(length, STEEP))
+    slopes = -flat / np.sqrt(1 - np.sum(flat**2, axis=1, keepdims=True))
+    between = _between(heights, coarse, fine)
+    turn = flattening(slopes)
+    change = np.einsum("nij,nj->ni", turn, slopes - fine.slopes(between))
+    rows = [
+        sparse.diags_array(turn[:, k, 0]) @ fine.right + sparse.diags_array(turn[:, k, 1]) @ fine.up for k in (0, 1)
+    ]
+    matrix = sum(part.T @ part for part in rows)
+    matrix = matrix + UNMOVED * np.mean(matrix.diagonal()) * sparse.eye_array(fine.count)
+    return between + factored(matrix).solve(rows[0].T @ change[:, 0] + rows[1].T @ change[:, 1])
+
+
+def _between(heights: Float[np.ndarray, " corners"], coarse: Corners, fine: Corners) -> Float[np.ndarray, " finer"]:
+    """Corners of the coarse level are every other one of the fine; means between them."""
     full = np.zeros(coarse.used.shape)
     full[coarse.used] = heights
     rows, columns = full.shape

@@ -4,6 +4,8 @@ Steps are damped by how much normals turn, not by how much heights move: near th
 small one of the other.
 """
 
+from typing import Any
+
 import numpy as np
 
 from hshjax._typing import Float
@@ -46,14 +48,10 @@ def nearest_minimum(energy: ReliefEnergy, state: State, weights: Weights, scaled
 def _step(equations: Equations, damping: float, scaled: bool) -> tuple[Float[np.ndarray, " corners"], float]:
     """Of heights and of the scale, which is one row and column more."""
     from scipy import sparse
-    from scipy.sparse.linalg import splu
 
     matrix = equations.matrix + damping * equations.metric
     ridge = RIDGE * np.mean(matrix.diagonal()) + np.finfo(float).tiny
-    matrix = sparse.csc_array(matrix + ridge * sparse.eye_array(matrix.shape[0]))
-    factor = splu(
-        matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )  # of a matrix that is positive definite
+    factor = factored(matrix + ridge * sparse.eye_array(matrix.shape[0]))
     move = -factor.solve(equations.gradient)
     if not scaled:
         return move, 0.0
@@ -62,3 +60,12 @@ def _step(equations: Equations, damping: float, scaled: bool) -> tuple[Float[np.
     change = -(equations.scale_gradient + equations.coupling @ move) / square if square > 0 else 0.0
     change = float(np.clip(change, -FARTHEST, FARTHEST))
     return move - change * along, change
+
+
+def factored(matrix: Any) -> Any:
+    """The factors of a sparse matrix that is symmetric and positive definite, so that no pivots are looked for."""
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
+    symmetric = {"SymmetricMode": True}
+    return splu(sparse.csc_array(matrix), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
