@@ -75,7 +75,7 @@ def finer(heights: Float[np.ndarray, " corners"], coarse: Corners, fine: Corners
     rows = [
         sparse.diags_array(turn[:, k, 0]) @ fine.right + sparse.diags_array(turn[:, k, 1]) @ fine.up for k in (0, 1)
     ]
-    matrix = sum(part.T @ part for part in rows)
+    matrix = rows[0].T @ rows[0] + rows[1].T @ rows[1]
     matrix = matrix + UNMOVED * np.mean(matrix.diagonal()) * sparse.eye_array(fine.count)
     return between + factored(matrix).solve(rows[0].T @ change[:, 0] + rows[1].T @ change[:, 1])
 
@@ -99,7 +99,8 @@ def dome(corners: Corners) -> Float[np.ndarray, " corners"]:
     used = np.pad(corners.used, 1)
     distance = np.asarray(ndimage.distance_transform_edt(used))
     labels = np.zeros(used.shape, int)
-    count = ndimage.label(used, np.ones((3, 3)), output=labels)
-    radius = np.concatenate([[0.0], np.atleast_1d(ndimage.maximum(distance, labels, np.arange(1, int(count) + 1)))])
-    radius = radius[labels]
+    ndimage.label(used, np.ones((3, 3)), output=labels)
+    largest = np.zeros(labels.max() + 1)
+    np.maximum.at(largest, labels, distance)
+    radius = largest[labels]
     return np.sqrt(distance * (2 * radius - distance))[used]

@@ -25,7 +25,12 @@ Start = Literal["smooth", "convex", "concave", "flat"]
 BRIGHT = 0.95
 """Quantile of values above 0 that counts as bright."""
 
-STARTS = {"smooth": (1, (1e4, 1e3, 1e2, 1e1)), "convex": (1, (1e2, 1e1)), "concave": (-1, (1e2, 1e1)), "flat": (0, (1e2, 1e1))}
+STARTS = {
+    "smooth": (1, (1e4, 1e3, 1e2, 1e1)),
+    "convex": (1, (1e2, 1e1)),
+    "concave": (-1, (1e2, 1e1)),
+    "flat": (0, (1e2, 1e1)),
+}
 """By what a round hill is multiplied, and factors of the smoothness, one after the other, on the coarsest level. The
 first begins so smooth that little is left of the hill but what the outline holds."""
 
@@ -43,17 +48,17 @@ class SingleImage(eqx.Module):
     """A surface from its shading. Host arrays; pixels are those of the mask, row by row.
 
     - `normals` `(pixels, 3)`: unit, in the world of the camera (x right, y up, z towards it); those of `corners`.
-    - `corners` `(rows + 1, columns + 1)`: heights at the corners of pixels; a pixel's slope in x is the mean of those of
-      its upper and lower edge, likewise in y. NaN where no pixel is.
-    - `heights` `(rows, columns)`: of pixels, the means of their corners. NaN outside. Heights of each piece (pieces that
-      touch at a corner are one) have mean 0, in the unit of the spacing.
+    - `corners` `(rows + 1, columns + 1)`: heights at the corners of pixels; the slope of a pixel in x is the mean of
+      those of its upper and lower edge, likewise in y. NaN where no pixel is.
+    - `heights` `(rows, columns)`: of pixels, the means of their corners; NaN outside. In the unit of the spacing, with
+      mean 0 over each piece; pieces that touch at a corner are one.
     - `prediction` `(pixels, lights, channels)`: the photographs, as the result has them.
-    - `shadows` `(pixels, lights)`: where the surface turns away from the light, so that nothing but smoothness tells its
-      normal. `outliers` `(pixels, lights)`: known values that count for less than a half, as they do not fit.
-    - `determined` `(pixels,)`: whether any value is known that is neither. `contour` `(pixels,)`: whether the outline was
-      told to hold the normal.
+    - `shadows` `(pixels, lights)`: where the surface turns away from the light, so that nothing but smoothness tells
+      its normal. `outliers` `(pixels, lights)`: known values that count for less than a half, as they do not fit.
+    - `determined` `(pixels,)`: whether any value is known that is neither. `contour` `(pixels,)`: whether the outline
+      was told to hold the normal.
     - `scale`: by which BRDF times albedo is multiplied; 1 where it is known. - `start`: the one that led here.
-    - `mask` `(rows, columns)`. - `history`: a stage for each start, with `energy` (of a pixel), `misfit` (median, of a
+    - `mask` `(rows, columns)`. - `history`: a stage for each start, with `energy` (a pixel), `misfit` (median, of a
       bright value) and `steps`.
     """
 
@@ -89,27 +94,27 @@ def solve_single_image(
 ) -> SingleImage:
     """A height field whose shading is that of a photograph, under a known light far away.
 
-    Heights at the corners of pixels are moved until Eq. 1 gives the photograph, normals bend little (not at all for
-    planes and spheres), and those of the outline look out of the mask: Gauss-Newton steps by sparse factors, from coarse
-    to fine while smoothness decreases, from several starts, of which the one with the least energy is kept.
+    Heights at the corners of pixels are moved until Eq. 1 gives the photograph, normals bend evenly (as those of planes
+    and spheres do), and those of the outline look out of the mask. Gauss-Newton steps by sparse factors, from coarse to
+    fine while smoothness decreases, from several starts, of which the one with the least energy is kept.
 
     - `photographs`: one; or several under different lights, which then determine more.
-    - `brdf`: isotropic, of one channel or as many as photographs have; times `albedo`, `(pixels,)` or `(pixels,
+    - `brdf`: isotropic, of one channel or as many as photographs have. Times `albedo`, `(pixels,)` or `(pixels,
       channels)`, and times the irradiance of the light it gives the radiance of photographs.
     - `scaled`: whether one factor of all of `brdf` is unknown, and found.
-    - `contour`: whether the mask ends where the surface turns away from the camera. Its border is not always that: it may
-      be a cut, or an edge behind which the object goes on. The border of the photographs never counts.
-    - `smoothness`: how much bending counts, relative to what was found right for photographs with little noise.
-    - `starts`: what is tried: round hills, round hollows, flat ground. A light near the camera does not tell hills from
-      hollows, and one aside hardly does where it has to do with cast shadows: say "convex" alone where it is known.
+    - `contour`: whether the mask ends where the surface turns away from the camera. Its border is not always that: it
+      may be a cut, or an edge behind which the object goes on. The border of the photographs never counts.
+    - `smoothness`: how much bending counts, relative to what suits photographs with little noise.
+    - `starts`: what is tried: a smooth surface, round hills, round hollows, flat ground. A light near the camera tells
+      no hills from hollows, and one aside hardly does where shadows are cast: name what is known, as in `("convex",)`.
     - `spacing`: between pixels; heights are in its unit. - `progress`: called with a stage, what is done and to do.
 
     Attached shadows are told from what the surface predicts; there normals are filled in smoothly (`shadows`). Cast
     shadows and light from other parts are not modelled. Values that are not finite are unknown.
 
-    Source: Horn & Brooks, The Variational Approach to Shape from Shading, CVGIP 33(2), 1986, for the idea; integrable by
-    construction, as by Leclerc & Bobick, The Direct Computation of Height from Shading, CVPR 1991; normals that bend
-    evenly, and the outline, as by Barron & Malik, Shape, Illumination, and Reflectance from Shading, PAMI 37(8), 2015.
+    Source: Horn & Brooks, The Variational Approach to Shape from Shading, CVGIP 33(2), 1986, for the idea; heights as
+    unknowns by Leclerc & Bobick, The Direct Computation of Height from Shading, CVPR 1991; even bending and outline by
+    Barron & Malik, Shape, Illumination, and Reflectance from Shading, PAMI 37(8), 2015.
 
     **Raises:** ValueError for lights that are unknown, near or behind the object, a camera nearby, black photographs, a
     BRDF that is not isotropic, reflects nothing or has other channels, a mask without outline where `contour` is asked
@@ -163,15 +168,18 @@ def from_start(name: str, energies: list[ReliefEnergy], weights: Weights, scaled
     sign, coarse = STARTS[name]
     heights = sign * hill
     scale, steps = _first_scale(coarsest, hill) if scaled else 0.0, 0
+    state = coarsest.at(heights, scale, weights)
     for number, energy in reversed(list(enumerate(energies))):
         factors = coarse if energy is coarsest else FINE
         factors = (*factors, 1.0) if energy is coarsest and number == 0 else factors
         for factor in factors:
             now = weights.times(factor, WIDER if factor > 1 else 1.0)
-            state, more = nearest_minimum(energy, energy.at(heights, scale, now), now, scaled)
-            heights, scale, steps = state.heights, state.scale, steps + more
+            state, more = nearest_minimum(energy, energy.at(state.heights, state.scale, now), now, scaled)
+            steps += more
         if number:
-            heights = finer(heights, energy.corners, energies[number - 1].corners)
+            below = energies[number - 1]
+            heights = finer(state.heights, energy.corners, below.corners)
+            state = below.at(heights, state.scale, weights)
         done()
     return state, steps
 
@@ -251,9 +259,8 @@ def _albedo(albedo: Any, photographs: Photographs) -> Float[np.ndarray, "pixels 
         return np.ones((photographs.pixels, 1, photographs.channels))
     given = np.asarray(albedo, float)
     if given.shape not in ((photographs.pixels,), (photographs.pixels, photographs.channels)):
-        raise ValueError(
-            f"albedo must be ({photographs.pixels},) or ({photographs.pixels}, {photographs.channels}), got {given.shape}"
-        )
+        expected = f"({photographs.pixels},) or ({photographs.pixels}, {photographs.channels})"
+        raise ValueError(f"albedo must be {expected}, got {given.shape}")
     if not np.all(np.isfinite(given) & (given >= 0)):
         raise ValueError("albedo must be finite and not negative")
     given = given.reshape(photographs.pixels, 1, -1)

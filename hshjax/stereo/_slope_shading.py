@@ -27,7 +27,7 @@ class Shading(NamedTuple):
 def slope_shading(
     brdf: AbstractBRDF, directions: Float[np.ndarray, "lights 3"], slopes: Float[np.ndarray, "pixels 2"]
 ) -> Shading:
-    """Attached shadows are black, and do not change with slopes. Computed in jax's default float, returned in float64."""
+    """Attached shadows are black, and do not change with slopes. In jax's default float; returned in float64."""
     count = len(slopes)
     length = SMALL if count <= SMALL else TILE
     tiles = []
