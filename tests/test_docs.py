@@ -23,12 +23,13 @@ RUN = [
             "light_a_surface",
             "photographs",
             "photometric_stereo",
+            "shape_from_shading",
             "use_as_a_layer",
         )
     ),
 ]
 
-LONG = ("fit_by_gradients", "fit_parameters", "light_a_surface", "photometric_stereo")
+LONG = ("fit_by_gradients", "fit_parameters", "light_a_surface", "photometric_stereo", "shape_from_shading")
 """They compile whole fits or images, in a process of their own."""
 
 FENCE = re.compile(r"^```(?P<info>[^\n]*)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -187,13 +187,15 @@ def _figure(case: dict[str, Any]) -> Any:
     show(axes[0, 0], display(pictures["photograph"]), "photograph")
     show(axes[0, 1], display(pictures["prediction"]), f"prediction, {FITTED}")
     heights = show(axes[0, 2], pictures["heights"], "heights [pixels]")
-    figure.colorbar(heights, ax=axes[0, 2], shrink=0.8)
+    figure.colorbar(heights, cax=axes[0, -1].inset_axes((0, 0.1, 0.06, 0.8)))
     show(axes[1, 0], placed((case["truth"] + 1) / 2, mask, 1.0), "true normals")
     for ax, low, key in zip(axes[1, 1:], axes[2, 1:], methods, strict=True):
         show(ax, placed((pictures[key] + 1) / 2, mask, 1.0), key)
         errors = angular_errors(pictures[key], case["truth"])
         image = show(low, placed(errors, mask, np.nan), f"error, mean {np.nanmean(errors):.1f}°", vmin=0, vmax=20)
-    figure.colorbar(image, ax=axes[2, 0], shrink=0.8, label="angular error [degrees]", location="left")
+    bar = figure.colorbar(image, cax=axes[2, 0].inset_axes((0.85, 0.1, 0.06, 0.8)), label="angular error [degrees]")
+    bar.ax.yaxis.set_ticks_position("left")
+    bar.ax.yaxis.set_label_position("left")
     for ax in axes.ravel():
         ax.set_axis_off()
     return figure

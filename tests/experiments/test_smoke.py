@@ -42,6 +42,7 @@ LONG = (
     "paper_basis_sweep",
     "reciprocity_filter",
     "recovery",
+    "shape_from_shading",
     "stereo_ablation",
 )
 """Their smaller parts are tested by themselves; one makes an environment for another renderer."""
