@@ -12,8 +12,12 @@ from hshjax.brdfs import AbstractBRDF
 from hshjax.brdfs._base import in_dtype
 from hshjax.photographs import Photographs
 from hshjax.stereo import solve_calibrated
+from hshjax.stereo._columns import column_brdfs, combined, default_columns, positive_columns
 
 VIEW = (0.0, 0.0, 1.0)
+
+PIXELS, DARK = 400, 0.2
+"""How many pixels a BRDF is fitted to, and of the mean of a photograph, below which errors count as they are."""
 
 
 class Mixture(AbstractBRDF):
@@ -85,14 +89,42 @@ def with_fitted_lights(photographs: Photographs) -> Photographs:
     return dataclasses.replace(photographs, lights=lights)
 
 
-def learned(photographs: Photographs, number: int, seed: int) -> tuple[AbstractBRDF, np.ndarray]:
+def learned(photographs: Photographs, number: int) -> tuple[AbstractBRDF, np.ndarray]:
     """The BRDF of an object of one material, from all photographs but one and without its true normals; and the light
     that strays on that one `(channels,)`."""
     others = [k for k in range(photographs.count) if k != number]
-    solved = solve_calibrated(only(photographs, others), seed=seed)
+    solved = solve_calibrated(only(photographs, others))
     weights = np.median(solved.weights, axis=0)
     stray = solved.stray * np.nanmean(photographs.values[:, number], axis=0)
     return Mixture(solved.brdf, jnp.asarray(weights, float)), stray
+
+
+def fitted_to_normals(photographs: Photographs, number: int) -> tuple[AbstractBRDF, np.ndarray]:
+    """As `learned`, but by least squares of relative values for the true normals: the material as it would be known
+    from a sample of known shape. In the columns that photometric stereo has, highlights at least 0, and stray light."""
+    from scipy.optimize import lsq_linear
+
+    columns = default_columns()
+    low = np.concatenate([np.where(positive_columns(columns), 0, -np.inf), [0]])
+    others = only(photographs, [k for k in range(photographs.count) if k != number])
+    irradiance = np.asarray(others.lights.irradiance, float).reshape(others.count, -1)
+    truth, view, step = jnp.asarray(photographs.truth, float), jnp.asarray(VIEW), max(1, photographs.pixels // PIXELS)
+    rows = []
+    for direction in np.asarray(others.lights.direction, float):
+        light = DirectionalLight(jnp.asarray(direction), 1.0)
+        parts = [np.asarray(reflect(brdf, light, truth[::step], view)) for brdf in column_brdfs(columns)]
+        rows.append(np.concatenate(parts, axis=1))
+    shading, found = np.stack(rows, axis=1), []
+    for channel in range(photographs.channels):
+        values = others.values[::step, :, channel] / irradiance[:, channel % irradiance.shape[1]]
+        mean = np.nanmean(values, axis=0)
+        design = np.concatenate([shading, np.broadcast_to(mean[:, None], (*values.shape, 1))], axis=2)
+        known = np.isfinite(values) & np.isfinite(photographs.truth[::step]).all(axis=1)[:, None]
+        weight = 1 / (np.where(known, values, 0) + DARK * mean)[known]
+        found.append(lsq_linear(design[known] * weight[:, None], values[known] * weight, (low, np.inf)).x)
+    coefficients = np.stack(found)
+    stray = coefficients[:, -1] * np.nanmean(photographs.values[:, number], axis=0)
+    return combined(columns, jnp.asarray(coefficients[:, :-1])), stray
 
 
 def best_lambert(photographs: Photographs) -> Lambert:

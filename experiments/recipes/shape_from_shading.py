@@ -4,6 +4,7 @@ Every photograph is solved by itself; the outline alone, without any photograph,
 """
 
 import time
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import matplotlib.pyplot as plt
@@ -15,6 +16,7 @@ from experiments.recipes._one_light import (
     angles_of,
     as_sphere,
     best_lambert,
+    fitted_to_normals,
     learned,
     lights_at,
     only,
@@ -35,7 +37,7 @@ from hshjax.stereo._relief_levels import levels
 from hshjax.stereo._single_image import from_start
 from hshjax.stereo._slope_shading import normals_of
 
-OUTLINE, LAMBERT, FITTED = "outline alone", "Lambert", "fitted BRDF"
+OUTLINE, LAMBERT, FITTED, KNOWN = "outline alone", "Lambert", "fitted BRDF", "BRDF of known normals"
 
 UNHELD = ", no outline"
 """What is solved without telling the outline."""
@@ -82,6 +84,7 @@ def run(config: Config, record: Record) -> None:
         f"Mean angular errors of normals [degrees] over all pixels of the mask, one photograph each. **{FITTED}**: of "
         "scenes, the BRDF fitted to the file of the material (`table:`) or the true one; of the ball and the sphere, "
         "one that `solve_calibrated` learns, without true normals, from the other photographs of the same object. "
+        f"**{KNOWN}**: one that is fitted to these, given the true normals. "
         f"**{LAMBERT}**: with the albedo that suits this photograph best, given the true normals. **{OUTLINE}**: no "
         f"photograph at all. **{UNHELD[2:]}**: without telling the outline; of starts, hollows and flat ground too."
     )
@@ -106,7 +109,7 @@ def _solved(config: Config, name: str, index: int) -> dict[str, Any]:
     """A row of errors, and pictures of one photograph."""
     photograph, brdf = _given(config, name, index)
     held, row, pictures = name not in config.reliefs, {"light": float(angles_of(photograph)[0])}, {}
-    row |= dict.fromkeys((OUTLINE, LAMBERT, FITTED, LAMBERT + UNHELD, FITTED + UNHELD))
+    row |= dict.fromkeys((OUTLINE, LAMBERT, FITTED, KNOWN, LAMBERT + UNHELD, FITTED + UNHELD))
     if held:
         pictures[OUTLINE] = outline_alone(photograph.mask)
         row[OUTLINE] = _error(pictures[OUTLINE], photograph)
@@ -121,6 +124,9 @@ def _solved(config: Config, name: str, index: int) -> dict[str, Any]:
         if title == FITTED:
             pictures |= {"heights": best.heights, **_images(photograph, best)}
             row["determined"] = float(best.determined.mean())
+    if name not in (*config.scenes, *config.reliefs):
+        other, exact = _given(config, name, index, fitted_to_normals)
+        row[KNOWN] = _error(solve_single_image(other, exact, starts=HELD_STARTS).normals, other)
     row["seconds"] = time.perf_counter() - begin
     return {"rows": [row], "mask": photograph.mask, "truth": photograph.truth, "pictures": pictures}
 
@@ -129,8 +135,10 @@ def _images(photograph: Photographs, solved: SingleImage) -> dict[str, np.ndarra
     return {"photograph": photograph.values[:, 0], "prediction": solved.prediction[:, 0]}
 
 
-def _given(config: Config, name: str, index: int) -> tuple[Photographs, AbstractBRDF]:
-    """One photograph, and what is taken for its BRDF."""
+def _given(
+    config: Config, name: str, index: int, find: Callable[..., tuple[AbstractBRDF, np.ndarray]] = learned
+) -> tuple[Photographs, AbstractBRDF]:
+    """One photograph, and what is taken for its BRDF; of objects, what is found of all other photographs."""
     if name in (*config.scenes, *config.reliefs):
         many = scenes([name], size=config.size, lights=lights_at(config.angles, AZIMUTH), seed=config.seed)[name]
         (layer,) = material(name.partition("/")[2].replace("table:", "rgl:")).layers
@@ -142,7 +150,7 @@ def _given(config: Config, name: str, index: int) -> tuple[Photographs, Abstract
         many = with_fitted_lights(many)
     many = thinned(many, config.every)
     number = int(np.argmin(np.abs(angles_of(many) - config.angles[index])))
-    brdf, stray = learned(many, number, config.seed)
+    brdf, stray = find(many, number)
     photograph = only(many, [number])
     values = (photograph.values - stray.astype(photograph.values.dtype)).astype(photograph.values.dtype)
     return Photographs(values, photograph.mask, photograph.lights, None, photograph.truth, photograph.notes), brdf

@@ -9,17 +9,20 @@ from experiments.recipes._one_light import (
     angles_of,
     as_sphere,
     best_lambert,
+    fitted_to_normals,
     learned,
     lights_at,
     only,
     thinned,
     with_fitted_lights,
 )
+from experiments.recipes._stereo_materials import material
 from experiments.recipes._stereo_scenes import scenes
 from experiments.recipes.shape_from_shading import outline_alone
 from hshjax.io import read_photographs
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import Photographs
+from hshjax.reflectance import reflect
 from hshjax.stereo import angular_errors, solve_single_image
 from tests.helpers import DTYPE
 
@@ -62,6 +65,19 @@ def test_lambert_and_lights_that_fit(matte):
     assert angular_errors(np.asarray(found), true / np.linalg.norm(true, axis=1, keepdims=True)).max() < 0.1
 
 
+def test_a_material_from_known_normals():
+    """In the span of its columns, so that it predicts the photograph that was left out."""
+    glossy = material("glossy:0.2").layers[0].brdf
+    lights = lights_at((5.0, 15.0, 25.0, 35.0, 45.0), 40.0)
+    (scene,) = scenes(["sphere/glossy:0.2"], size=24, lights=lights).values()
+    brdf, stray = fitted_to_normals(scene, 2)
+    lamp = jax.tree.map(lambda leaf: leaf[2], scene.lights)
+    truth, view = jnp.asarray(scene.truth), jnp.asarray([0.0, 0.0, 1.0], DTYPE)
+    found, true = (np.asarray(reflect(model, lamp, truth, view)) for model in (brdf, glossy))
+    assert np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2)) < 0.02
+    assert np.max(np.abs(stray)) < 0.01
+
+
 def test_the_outline_of_a_ball_alone(matte):
     assert angular_errors(outline_alone(matte.mask), matte.truth).mean() < 5.0
 
@@ -71,7 +87,7 @@ def test_the_ball_of_diligent(data):
     """The BRDF that other photographs tell, without true normals, does better than Lambert's law at its best."""
     ball = thinned(read_photographs(data / "diligent/ballPNG"), 3)
     number = int(np.argmin(np.abs(angles_of(ball) - 40)))
-    brdf, stray = learned(ball, number, 0)
+    brdf, stray = learned(ball, number)
     photograph = only(ball, [number])
     values = (photograph.values - stray).astype(photograph.values.dtype)
     photograph = Photographs(values, photograph.mask, photograph.lights, None, photograph.truth)
