@@ -25,6 +25,7 @@ RUN = [
             "photographs",
             "photometric_stereo",
             "refine_jointly",
+            "shape_from_shading",
             "use_as_a_layer",
         )
     ),
@@ -32,6 +33,7 @@ RUN = [
 
 LONG = (
     "fit_by_gradients", "fit_parameters", "light_a_surface", "natural_light", "photometric_stereo", "refine_jointly",
+    "shape_from_shading",
 )  # fmt: skip
 """They compile whole fits or images, in a process of their own."""
 

@@ -10,4 +10,5 @@ from hshjax.stereo._predict import predict as predict
 from hshjax.stereo._refine_jointly import refine_jointly as refine_jointly
 from hshjax.stereo._result import Stereo as Stereo, angular_errors as angular_errors
 from hshjax.stereo._semi_calibrated import solve_semi_calibrated as solve_semi_calibrated
+from hshjax.stereo._single_image import SingleImage as SingleImage, solve_single_image as solve_single_image
 from hshjax.stereo._uncalibrated import solve_uncalibrated as solve_uncalibrated

@@ -26,6 +26,17 @@ def contour(mask: Bool[np.ndarray, "rows columns"]) -> tuple[Int[np.ndarray, " n
 
     **Raises:** ValueError where fewer than `LEAST` are left.
     """
+    pixels, outward = silhouette(mask)
+    if len(pixels) < LEAST:
+        raise ValueError(
+            f"the contour of the mask has {len(pixels)} pixels inside of the photographs, expected at least {LEAST}: "
+            "without it unknown lights are not determined"
+        )
+    return pixels, outward
+
+
+def silhouette(mask: Bool[np.ndarray, "rows columns"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 2"]]:
+    """`contour`, however few pixels there are."""
     from scipy import ndimage
 
     wide = int(4 * BLUR)
@@ -37,11 +48,6 @@ def contour(mask: Bool[np.ndarray, "rows columns"]) -> tuple[Int[np.ndarray, " n
     outward = np.stack([-right[edge], down[edge]], axis=1)
     length = np.linalg.norm(outward, axis=1)
     there = length > 0  # 0 where the mask is as wide on both sides
-    if np.sum(there) < LEAST:
-        raise ValueError(
-            f"the contour of the mask has {np.sum(there)} pixels inside of the photographs, expected at least {LEAST}: "
-            "without it unknown lights are not determined"
-        )
     return number[edge][there], outward[there] / length[there, None]
 
 

@@ -43,6 +43,7 @@ LONG = (
     "paper_basis_sweep",
     "reciprocity_filter",
     "recovery",
+    "shape_from_shading",
     "stereo_ablation",
     "stereo_held_out",
 )
