@@ -155,8 +155,9 @@ def solve_single_image(
     held = np.zeros(photographs.pixels, bool)
     held[energy.rim] = True
     corners, heights = _placed_heights(energy.corners, state.heights, spacing)
+    normals = normals_of(energy.corners.slopes(state.heights)) @ camera_axes(photographs.camera)
     return SingleImage(
-        normals=normals_of(energy.corners.slopes(state.heights)) @ camera_axes(photographs.camera), corners=corners, heights=heights,
+        normals=normals, corners=corners, heights=heights,
         prediction=state.shading.value * bright * irradiance, shadows=dark, outliers=outliers,
         determined=np.any(np.any(known, axis=2) & ~dark & ~outliers, axis=1), contour=held,
         scale=float(np.exp(state.scale)), start=start, mask=photographs.mask, history=tuple(history.stages),

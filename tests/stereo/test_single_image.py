@@ -61,6 +61,19 @@ def changed(scene, values):
     return replace(scene, values=values)
 
 
+def test_a_camera_far_away_may_be_turned():
+    """With the light: the world is that of the lights, and normals turn with it."""
+    scene = sphere(16, GLOSSY, 30.0)
+    axes = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # right, up, towards
+    camera = hshjax.OrthographicCamera(axes[2], axes[1], height=2.2, resolution=(16, 16))
+    lights = jax.vmap(hshjax.DirectionalLight)(scene.lights.direction @ axes.astype(DTYPE), scene.lights.irradiance)
+    turned = solve_single_image(replace(scene, lights=lights, camera=camera), GLOSSY, starts=("convex",))
+    plain = solve_single_image(scene, GLOSSY, starts=("convex",))
+    # Shading is rendered in jax's default float, and minima are found to its rounding.
+    np.testing.assert_allclose(turned.normals, plain.normals @ axes, atol=1e-6 if X64 else 1e-2)
+    np.testing.assert_allclose(turned.heights, plain.heights, atol=1e-5 if X64 else 1e-1)
+
+
 @pytest.mark.parametrize("degrees", [5.0, 40.0])
 def test_a_sphere(degrees):
     """To a tenth of what a pixel sees: normals change by 1/15 (4 degrees) from one to the next."""
