@@ -97,9 +97,10 @@ def solve_calibrated(
         with history.stage("normals", steps) as done:
             return observations, mixed, shared, refine_all(observations, mixed, shared, pq, 4, 8, done)
 
-    observations, mixed, shared, pq = learned(observations, pq)
-    for _ in range(observations.geometry.again):
-        observations, mixed, shared, pq = learned(observations.moved(pq), pq)
+    given = observations
+    observations, mixed, shared, pq = learned(given, pq)
+    for _ in range(given.geometry.again):  # from the lights that were given: priors are about them
+        observations, mixed, shared, pq = learned(given.moved(pq), pq)
     with history.stage("neighbours", steps * sweeps) as done:
         near, amount = neighbours(photographs.mask), smoothness * shared.noise**0.5
         for sweep in range(sweeps):

@@ -22,7 +22,7 @@ ROUNDS = 8
 class Lambertian(NamedTuple):
     """Host arrays of the pixels of the mask.
 
-    - `normals` `(pixels, 3)`: unit, in the world of the camera; NaN where photographs do not determine one.
+    - `normals` `(pixels, 3)`: unit, in the world, see `Stereo`; NaN where photographs do not determine one.
     - `albedo` `(pixels, channels)`: dimensionless, up to the factor that the exposure is; NaN likewise.
     """
 

@@ -23,6 +23,9 @@ STRIDE = 6
 SIZE = 129
 """Of the grid that nodes are of where pixels have shading of their own."""
 
+FEW = 6
+"""Steps before two minima are compared."""
+
 TOGETHER = 512
 """Pixels that are looked at together: their normal equations at all nodes stay in the cache."""
 
@@ -32,16 +35,17 @@ def refine_from_both(
     table: ShadingTable, values: Float[Array, "n lights"], known: Float[Array, "n lights"], pq: Float[Array, "n 2"],
     rounds: int, steps: int,
 ) -> Float[Array, "n 2"]:  # fmt: skip
-    """`robust_refine` from given normals and from `best_node`: of the two, what fits better.
+    """`robust_refine` from given normals or from `best_node`: from where a few steps lead to what fits better.
 
     Dark values count as `SHADOWS` where minima are compared: one that wants light there needs a shadow cast.
     """
     plain, counted = initial_trust(values, known), initial_trust(values, known, SHADOWS)
     starts = pq, best_node(table, values, counted)
-    found = [robust_refine(table, values, plain, begin, rounds, steps)[0] for begin in starts]
+    found = [robust_refine(table, values, plain, begin, 1, FEW)[0] for begin in starts]
     scale = jnp.minimum(*(_scale(table, values, plain, estimate) for estimate in found))
     own, other = (misfit(table, values, counted, scale, estimate.pq) for estimate in found)
-    return jnp.where((other < own)[:, None], found[1].pq, found[0].pq)
+    begin = jnp.where((other < own)[:, None], found[1].pq, found[0].pq)
+    return robust_refine(table, values, plain, begin, rounds, steps)[0].pq
 
 
 @eqx.filter_jit

@@ -14,7 +14,7 @@ from hshjax.stereo._history import Stage
 class Stereo(eqx.Module):
     """Normals, reflectance and lights of an object, from photographs. Host arrays of the pixels of the mask.
 
-    - `normals` `(pixels, 3)`: unit, in the world: of a camera far away, x right, y up, z towards it.
+    - `normals` `(pixels, 3)`: unit, in the world: where `camera` is None, x right, y up, z towards it.
     - `weights` `(pixels, materials, channels)`: how much of each material of `brdf` a pixel has; >= 0.
     - `brdf`: reciprocal, a channel for each material [sr^-1, up to a factor: the scale of photographs is arbitrary].
     - `lights`: as they were given, or as they were found.
@@ -25,7 +25,7 @@ class Stereo(eqx.Module):
       `shadows`: dark values, which were not looked at.
     - `mask` `(rows, columns)`. - `history`: the stages of the solution. - `camera`: that of the photographs.
     - `positions` `(pixels, 3)`: of the surface, in the world, where lights or camera are nearby; else None, and
-      `height_from_normals` tells heights.
+      `height_from_normals` tells heights, of normals in the axes of the camera.
     """
 
     normals: Float[np.ndarray, "pixels 3"]

@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax.photographs import Photographs
+from hshjax.stereo._axes import camera_axes
 from hshjax.stereo._calibrated import solve_calibrated
 from hshjax.stereo._chart import to_chart
 from hshjax.stereo._columns import Column, default_columns
@@ -40,8 +42,8 @@ def solve_uncalibrated(
 ) -> Stereo:
     """Normals, reflectance, directions and intensities of lights far away, from photographs alone.
 
-    `photographs.lights` are not looked at, and the world is that of a camera on +z. Intensities begin as what lights
-    make of the pixels that face them; directions as the factor of photographs that have Lambert's rank, of unit length,
+    `photographs.lights` are not looked at. Intensities begin as what lights make of the pixels that face them;
+    directions as the factor of photographs that have Lambert's rank, of unit length,
     turned so that normals look out of the mask at its contour: which tells hollow from raised, and left from right.
     Directions and intensities then move while materials are learned from some pixels, and all is solved as with known
     lights (`solve_calibrated`, whose `options` are these) under those that were found.
@@ -65,7 +67,7 @@ def solve_uncalibrated(
             raise ValueError(f"{name} must be at least {least}, got {value}")
     if photographs.camera is not None and photographs.camera.needs_positions:
         raise ValueError("unknown lights are found for a camera far away: give photographs without camera, or lights")
-    photographs = replace(photographs, camera=None)
+    camera, photographs = photographs.camera, replace(photographs, camera=None)
     contour(photographs.mask)  # raises, before anything takes long
     columns = default_columns() if columns is None else columns
     history = History(progress)
@@ -97,4 +99,8 @@ def solve_uncalibrated(
     solved = solve_calibrated(
         photographs, materials=materials, columns=columns, stray=stray, seed=seed, progress=progress, **options
     )
-    return replace(solved, history=(*history.stages, *solved.history))
+    # Found in the axes of the camera, told in the world.
+    axes = camera_axes(camera).astype(np.float32)
+    lights = eqx.tree_at(lambda lights: lights.direction, solved.lights, replace_fn=lambda towards: towards @ axes)
+    stages = (*history.stages, *solved.history)
+    return replace(solved, normals=solved.normals @ axes, lights=lights, camera=camera, history=stages)

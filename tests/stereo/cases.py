@@ -18,13 +18,13 @@ def directions(count=12, tilt=0.6, seed=0):
     return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
 
 
-def ball(brdf=None, size=20, lights=12, noise=0.0, irradiance=1.0) -> Photographs:
+def ball(brdf=None, size=20, lights=12, noise=0.0, irradiance=1.0, tilt=0.6) -> Photographs:
     """A sphere that fills the image, its true normals with it; attached shadows only."""
     brdf = hshjax.Lambert(0.6) + hshjax.GGX(0.08, 0.35) if brdf is None else brdf
     camera = hshjax.OrthographicCamera((0.0, 0, 1), (0.0, 1, 0), height=2.05, resolution=(size, size))
     normal = hshjax.sphere(camera).normal
     mask = np.asarray(jnp.any(normal != 0, axis=-1))
-    normals, vectors = normal[mask].astype(jnp.float32), jnp.asarray(directions(lights))
+    normals, vectors = normal[mask].astype(jnp.float32), jnp.asarray(directions(lights, tilt))
     strength = jnp.broadcast_to(jnp.asarray(irradiance, jnp.float32), (lights,))
     many = jax.vmap(hshjax.DirectionalLight)(vectors, strength)
     view = jnp.asarray([0, 0, 1], jnp.float32)

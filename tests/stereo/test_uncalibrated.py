@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import hshjax
 from hshjax.brdfs import GGX, Lambert
 from hshjax.io import read_photographs
 from hshjax.lighting import DirectionalLight
@@ -47,6 +48,12 @@ def test_lights_that_are_given_are_not_looked_at():
     quick = QUICK | {"turns": 1, "rounds": 1, "sweeps": 0}
     first, second = (solve_uncalibrated(given, **quick) for given in (scene, replace(scene, lights=None)))
     np.testing.assert_array_equal(first.normals, second.normals)
+    camera = hshjax.OrthographicCamera((1.0, 0, 0), (0.0, 0, 1), height=2.0, resolution=scene.mask.shape)
+    axes = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], np.float32)  # right, up, towards
+    turned = solve_uncalibrated(replace(scene, camera=camera), **quick)
+    assert turned.camera is camera
+    np.testing.assert_allclose(turned.normals, first.normals @ axes, atol=1e-6)
+    np.testing.assert_allclose(turned.lights.direction, first.lights.direction @ axes, atol=1e-6)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
