@@ -337,6 +337,15 @@ HOSTILE = {
     "spacing": (lambda s: (s, GLOSSY, {"spacing": np.inf}), "spacing must be a finite number above 0, got inf"),
     "no start": (lambda s: (s, GLOSSY, {"starts": ()}), "starts must be some of smooth, convex"),
     "albedo": (lambda s: (s, GLOSSY, {"albedo": np.ones(3)}), "albedo must be .* got \\(3,\\)"),
+    "near camera": (
+        lambda s: (
+            replace(s, camera=hshjax.PerspectiveCamera((0.0, 0, 5), (0.0, 0, 0), (0.0, 1, 0), 40.0, (9, 9))),
+            GLOSSY,
+            {},
+        ),
+        "the camera must be far away",
+    ),
+    "NaN albedo": (lambda s: (s, GLOSSY, {"albedo": np.full(s.pixels, np.nan)}), "finite and not negative"),
     "negative albedo": (lambda s: (s, GLOSSY, {"albedo": -np.ones(s.pixels)}), "finite and not negative"),
 }
 
