@@ -345,7 +345,7 @@ def test_photographs_that_tell_nothing_are_refused():
     two = jax.vmap(HarmonicLight)(jnp.ones((2, 4, 2)))
     with pytest.raises(ValueError, match=r"lights must have 1 channel or 3, .* got 2"):
         solve_natural(replace(given, lights=two))
-    near = PerspectiveCamera((0.0, 0, 5), (0.0, 0, 0), (0.0, 1, 0), 40.0, (12, 12))
+    near = PerspectiveCamera((0.0, 0, 5), (0.0, 0, 0), (0.0, 1, 0), field_of_view=0.5, resolution=(12, 12))
     with pytest.raises(ValueError, match="the camera must be far away"):
         solve_natural(replace(given, camera=near))
 
