@@ -31,6 +31,7 @@ from hshjax.io import read_exr
 from hshjax.photographs import Photographs
 from hshjax.stereo import angular_errors, light_from_shape, solve_natural
 from hshjax.stereo._inflated import Inflated
+from hshjax.stereo._natural import NEAR
 
 CASES = {
     "light known": {},
@@ -66,8 +67,8 @@ def run(config: Config, record: Record) -> None:
         f"one is looked for up to order {low} (Lambert) or {high} (glossy: half Lambert, half GGX of roughness 0.4, as "
         "a series of order 6, known). Error: mean angle of normals [degrees]. Dome: that of the start, which knows the "
         "outline alone. Residual: over the photograph's root mean square. Spread: the largest mean angle between the "
-        "best solution and another whose loss is within 2 % of its. Light: relative error of the radiance of a white "
-        "Lambert sphere in the light that was found."
+        f"best solution and another whose loss is within {NEAR - 1:.0%} of its. Light: relative error of the radiance "
+        "of a white Lambert sphere in the light that was found."
     )
     rows, shown = [], {}
     todo = [(s, m, c) for m in config.materials for s in config.shapes for c in config.cases]
@@ -147,10 +148,10 @@ def _case(config: Config, shape: str, material: str, name: str) -> dict[str, Any
     errors = angular_errors(found.normals, given.truth)
     outline = Inflated.of(given.mask, jnp.result_type(float))
     dome = angular_errors(np.asarray(outline.normals(outline.flat(1)), float), given.truth)
-    near = found.losses <= 1.02 * found.losses.min()
+    near = found.losses <= NEAR * np.nanmin(found.losses)
     row = {
         "dome": float(dome.mean()), "error": float(errors.mean()), "median": float(np.median(errors)),
-        "residual": found.residual, "starts that agree": int(near.sum()), "spread": float(found.spread[near].max()),
+        "residual": found.residual, "starts that agree": found.agreeing(), "spread": float(found.spread[near].max()),
         "light": _shading_error(found.lights.coefficients, given.lights.coefficients) if case.get("unknown") else None,
     }  # fmt: skip
     image = found.image(np.asarray(given.values[:, 0], float))

@@ -1,5 +1,7 @@
 """Shape in natural illumination: what a few photographs of one object tell where light comes from all around."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,8 @@ from hshjax.photographs import Photographs, placed
 from hshjax.reflectance import reflect
 from hshjax.stereo._history import History, Progress, Stage
 from hshjax.stereo._inflated import Bulge, Inflated, bending
-from hshjax.stereo._natural_light import light_columns
+from hshjax.stereo._known import check_brdf, check_channels, far_axes, known_albedo
+from hshjax.stereo._natural_light import ALL_AROUND, light_columns
 from hshjax.stereo._result import angular_errors
 
 LIGHT = 5.0
@@ -39,8 +42,10 @@ STEADY = 1e-5
 class NaturalShape(eqx.Module):
     """Shape and light, from photographs in natural illumination. Host arrays of the pixels of the mask.
 
-    - `normals` `(pixels, 3)`. - `heights` `(pixels,)`: z [pixels], above the plane of the outline.
-    - `lights`: many in one, as of `jax.vmap(HarmonicLight)`. - `radiance` `(pixels, images, channels)`: as predicted.
+    - `normals` `(pixels, 3)`: unit, in the world: of a camera far away on +z, x right, y up. - `heights` `(pixels,)`:
+      towards the camera [pixels], above the plane of the outline.
+    - `lights`: many in one, as of `jax.vmap(HarmonicLight)`, in the world.
+    - `prediction` `(pixels, images, channels)`: the photographs, as the result has them.
     - `residual`: root mean square of what is not explained, over that of the photographs.
     - `losses` `(starts,)`: of all starts; `spread` `(starts,)`: mean angle of their normals with those returned
       [degrees]. Starts of equal loss with a large spread are an ambiguity that was met.
@@ -50,7 +55,7 @@ class NaturalShape(eqx.Module):
     normals: Float[np.ndarray, "pixels 3"]
     heights: Float[np.ndarray, " pixels"]
     lights: HarmonicLight
-    radiance: Float[np.ndarray, "pixels images channels"]
+    prediction: Float[np.ndarray, "pixels images channels"]
     residual: float
     losses: Float[np.ndarray, " starts"]
     spread: Float[np.ndarray, " starts"]
@@ -62,15 +67,15 @@ class NaturalShape(eqx.Module):
         return placed(values, self.mask)
 
     def agreeing(self) -> int:
-        """How many starts end as low as the best, within 2 %."""
-        return int(np.sum(self.losses <= NEAR * self.losses.min()))
+        """How many starts end as low as the best, within 2 %; one that diverged (NaN) does not."""
+        return int(np.sum(self.losses <= NEAR * np.nanmin(self.losses)))
 
 
 def solve_natural(
     photographs: Photographs,
     *,
     brdf: AbstractBRDF | None = None,
-    albedo: Float[np.ndarray, "pixels channels"] | None = None,
+    albedo: Any = None,
     order: int = 2,
     noise: float = 0.01,
     bend: float = 10.0,
@@ -85,9 +90,9 @@ def solve_natural(
     Eq. 1 (`hshjax.fit`), as a sum of coarse and fine forms. Where `photographs.lights` is None, light is a series of
     spherical harmonics that is always the best one for the shape, in closed form (variable projection).
 
-    - `photographs`: each in a light of its own. `lights`: many `HarmonicLight` in one, known; or None.
-    - `brdf`: isotropic, known, of one channel or those of the photographs; None: `Lambert(1)`. `albedo`: its factors
-      pixel by pixel, None: 1. - `order`: of light that is to be found.
+    - `photographs`: each in a light of its own. `lights`: many `HarmonicLight` in one, in the world, known; or None.
+    - `brdf`: isotropic, known, of one channel or those of the photographs; None: `Lambert(1)`. `albedo`: its factors,
+      `(pixels,)` or `(pixels, channels)`; None: 1. - `order`: of light that is to be found.
     - `noise`: of values, relative to the root mean square of their photograph and channel.
     - `bend`: standard deviation of second derivatives of the logarithm of heights, over the object's radius: the
       smaller, the smoother. - `base`: whether the outline need not lie in a plane.
@@ -97,14 +102,17 @@ def solve_natural(
     An isotropic material looks the same on the surface reflected in depth, with light turned half around the view;
     outlines that bulge decide that.
 
-    **Raises:** ValueError for a camera nearby, lights of another kind, shapes that do not fit, arguments out of range,
-    and photographs that are black or of which nothing is known.
+    **Raises:** ValueError for a camera nearby, lights of another kind, shapes that do not fit, a BRDF that is not
+    isotropic, reflects nothing or has other channels, a mask of one row or column, arguments out of range, and
+    photographs that are black or of which nothing is known.
     """
     _check(photographs, order, noise, bend, heights, steps)
     history = History(progress)
     shape = Inflated.of(photographs.mask, jnp.result_type(float))
     dtype = shape.dome.dtype
+    axes = far_axes(photographs.camera)
     brdf = in_dtype(Lambert(jnp.ones(())) if brdf is None else brdf, dtype)
+    check_brdf(brdf, ALL_AROUND, photographs.channels)
     term = _term(photographs, shape, brdf, albedo, order, noise)
     objective = {"photographs": term, "bend": Bend(shape, jnp.asarray(bend, dtype))}
     solver, levels, ends = optx.LBFGS(rtol=STEADY, atol=STEADY), shape.levels(), []
@@ -122,11 +130,12 @@ def solve_natural(
     best = ends[int(np.nanargmin(losses))][1]
     normals = np.asarray(shape.normals(best), float)
     spread = [angular_errors(np.asarray(shape.normals(bulge), float), normals).mean() for _, bulge in ends]
-    coefficients, radiance = (np.asarray(a) for a in term.explained(shape.normals(best)))
+    coefficients, radiance = term.explained(shape.normals(best))
+    radiance = np.asarray(radiance)
     shown = np.where(np.asarray(term.known), np.moveaxis(np.asarray(photographs.values), 0, 1), 0)
     missed = np.where(np.asarray(term.known), radiance - shown, 0)
     return NaturalShape(
-        normals, np.asarray(shape.heights(best), float), jax.vmap(HarmonicLight)(jnp.asarray(coefficients)),
+        normals @ axes, np.asarray(shape.heights(best), float), _turned(coefficients, axes.T),
         np.moveaxis(radiance, 0, 1), float(np.sqrt(np.sum(missed**2) / np.sum(shown**2))),
         losses, np.array(spread), photographs.mask, tuple(history.stages),
     )  # fmt: skip
@@ -199,13 +208,19 @@ class Bend(AbstractTerm):
         return [self.shape.radius / self.bend * part for field in fields for part in bending(field)]
 
 
+def _turned(coefficients: Float[Array, "images modes channels"], turn: np.ndarray) -> HarmonicLight:
+    """Lights in one, turned with the world by a rotation; as they are where it is none."""
+    lights = jax.vmap(HarmonicLight)(coefficients)
+    if np.array_equal(turn, np.eye(3)):
+        return lights
+    return jax.vmap(lambda light: light.rotated(jnp.asarray(turn, coefficients.dtype)))(lights)
+
+
 def _term(photographs, shape, brdf, albedo, order, noise) -> Natural:
     dtype = shape.dome.dtype
     values = np.moveaxis(np.asarray(photographs.values, float), 0, 1)
     known = np.isfinite(values)
-    if albedo is None:
-        albedo = np.ones((photographs.pixels, 1))
-    albedo = np.broadcast_to(np.asarray(albedo, float), (photographs.pixels, photographs.channels))
+    albedo = known_albedo(albedo, photographs.pixels, photographs.channels)
     shown = np.where(known, values, 0)
     level = np.sqrt(np.sum(shown**2, axis=1, keepdims=True) / np.maximum(np.sum(known, axis=1, keepdims=True), 1))
     if not np.all(level > 0):
@@ -213,9 +228,9 @@ def _term(photographs, shape, brdf, albedo, order, noise) -> Natural:
         raise ValueError(f"photographs {dark} are black, or nothing is known of them, in a channel: leave them out")
     light = None if photographs.lights is None else photographs.lights.coefficients
     if light is not None:
-        if light.shape[2] not in (1, photographs.channels):
-            raise ValueError(f"lights must have 1 channel or {photographs.channels}, got {light.shape[2]}")
+        check_channels("lights", light.shape[2], photographs.channels)
         light = jnp.broadcast_to(jnp.asarray(light, dtype), (*light.shape[:2], photographs.channels))
+        light = _turned(light, far_axes(photographs.camera)).coefficients  # the world of the term is the camera's
     rim = RIM / np.sqrt(np.asarray(shape.dome))[None, :, None]
     deviation = level * np.sqrt(noise**2 + rim**2)
     shown, known, deviation, level, albedo = (jnp.asarray(a, dtype) for a in (shown, known, deviation, level, albedo))
@@ -223,8 +238,8 @@ def _term(photographs, shape, brdf, albedo, order, noise) -> Natural:
 
 
 def _check(photographs: Photographs, order: int, noise: float, bend: float, heights, steps: int) -> None:
-    if photographs.camera is not None and photographs.camera.needs_positions:
-        raise ValueError("the camera must be far away, got one that sees points from different directions")
+    if min(photographs.mask.shape) < 2:
+        raise ValueError(f"the mask must have at least 2 rows and 2 columns, got {photographs.mask.shape}")
     if photographs.lights is not None and not isinstance(photographs.lights, HarmonicLight):
         kind = type(photographs.lights).__name__
         raise ValueError(

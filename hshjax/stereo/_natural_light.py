@@ -12,9 +12,13 @@ from hshjax.brdfs import AbstractBRDF, Lambert
 from hshjax.geometry import normalized
 from hshjax.lighting import HarmonicLight
 from hshjax.reflectance import reflect
+from hshjax.stereo._known import check_brdf, known_albedo
 
 ROUNDS = 20
 """Of telling what is determined, which depends on the light that is found."""
+
+ALL_AROUND = np.array([[0, 0, 1], [0.8, 0, 0.6], [-0.48, 0.64, -0.6]])
+"""Lights in which a BRDF is looked at before it is used: from the camera, from aside, from behind."""
 
 
 class NaturalLight(eqx.Module):
@@ -42,14 +46,14 @@ def light_from_shape(
     normals: Float[np.ndarray | Array, "pixels 3"],
     *,
     brdf: AbstractBRDF | None = None,
-    albedo: Float[np.ndarray | Array, "pixels channels"] | None = None,
+    albedo: Any = None,
     order: int = 2,
     tolerance: float = 0.1,
 ) -> NaturalLight:
     """The light that an object of known shape and reflectance was photographed in, a series of some order.
 
     - `values`: radiance; pixels with a NaN are not looked at. - `normals`: unit, in the world of a camera far away on
-      +z. - `brdf`: isotropic; None: `Lambert(1)`. - `albedo`: factors of it, pixel by pixel; None: 1.
+      +z. - `brdf`: isotropic; None: `Lambert(1)`. - `albedo`: factors, `(pixels,)` or `(pixels, channels)`; None: 1.
     - `order`: of the series. What light has beyond it is taken for what it has below: an order higher than material and
       noise let through does no harm, for what is not determined is left out.
     - `tolerance`: a combination of coefficients is determined where its standard deviation is below this share of the
@@ -58,8 +62,8 @@ def light_from_shape(
     Least squares by singular values. Radiance is linear in light; Eq. 1 for each harmonic is a column, by `reflect`. Of
     Lambert's law order 2 holds 98 % of all there is, and odd orders above 1 leave no trace.
 
-    **Raises:** ValueError for shapes that do not fit, a negative order, a tolerance that is not above 0, and fewer
-    known pixels than coefficients.
+    **Raises:** ValueError for shapes that do not fit, a BRDF that is not isotropic, reflects nothing or has other
+    channels, a negative order, a tolerance that is not above 0, and fewer known pixels than coefficients.
     """
     image, points = np.asarray(values, float), np.asarray(normals, float)
     if image.ndim != 2 or points.shape != (len(image), 3):
@@ -68,15 +72,16 @@ def light_from_shape(
         )
     if order < 0 or not tolerance > 0:
         raise ValueError(f"order must be at least 0 and tolerance above 0, got {order} and {tolerance}")
+    factors = known_albedo(albedo, *image.shape)
     known = np.isfinite(image).all(axis=1) & np.isfinite(points).all(axis=1)
     modes = (order + 1) ** 2
     if known.sum() <= modes:
         raise ValueError(f"{modes} coefficients need more pixels than that, of which both are known; got {known.sum()}")
     dtype = jnp.result_type(float)
-    columns = light_columns(Lambert(jnp.ones(())) if brdf is None else brdf, order, jnp.asarray(points[known], dtype))
-    design = np.broadcast_to(np.asarray(columns, float), (*columns.shape[:2], image.shape[1]))
-    if albedo is not None:
-        design = design * np.asarray(albedo, float)[known][:, None]
+    brdf = Lambert(jnp.ones(())) if brdf is None else brdf
+    check_brdf(brdf, ALL_AROUND, image.shape[1])
+    columns = light_columns(brdf, order, jnp.asarray(points[known], dtype))
+    design = np.asarray(columns, float) * factors[known][:, None]
     found = [_channel(design[..., c], image[known, c], tolerance) for c in range(image.shape[1])]
     value, deviation, seen, count, condition, noise = (np.stack(part, axis=-1) for part in zip(*found, strict=True))
     return NaturalLight(HarmonicLight(jnp.asarray(value, dtype)), deviation, seen, count, condition, noise)

@@ -4,22 +4,20 @@ from collections.abc import Sequence
 from typing import Any, Literal, get_args
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Bool, Float
 from hshjax.brdfs import AbstractBRDF
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import Photographs, placed
-from hshjax.stereo._axes import camera_axes
-from hshjax.stereo._chart import grid
 from hshjax.stereo._contour import silhouette
 from hshjax.stereo._corners import Corners
 from hshjax.stereo._history import History, Progress, Stage
+from hshjax.stereo._known import check_brdf, check_channels, far_axes, known_albedo
 from hshjax.stereo._relief_energy import ReliefEnergy, State, Target, Weights
 from hshjax.stereo._relief_levels import dome, finer, levels
 from hshjax.stereo._relief_solve import nearest_minimum
-from hshjax.stereo._slope_shading import normals_of, slope_shading
+from hshjax.stereo._slope_shading import normals_of
 from hshjax.stereo._strength import strengths
 
 Start = Literal["smooth", "convex", "concave", "flat"]
@@ -41,9 +39,6 @@ FINE = (1e1, 1.0)
 
 WIDER = 3.0
 """Of what fits badly, while surfaces are smoother than they are to be."""
-
-TURNED = 1e-3
-"""Of the largest value, by which a BRDF may change when both directions turn about the normal."""
 
 
 class SingleImage(eqx.Module):
@@ -127,9 +122,11 @@ def solve_single_image(
             raise ValueError(f"{name} must be a finite number above 0, got {value}")
     if not starts or not set(starts) <= set(get_args(Start)):
         raise ValueError(f"starts must be some of {', '.join(get_args(Start))}, got {tuple(starts)!r}")
-    directions, irradiance = _lights(photographs)
-    _check_brdf(brdf, directions, photographs.channels)
-    target = _target(photographs, irradiance, _albedo(albedo, photographs))
+    axes = far_axes(photographs.camera)
+    directions, irradiance = _lights(photographs, axes)
+    check_brdf(brdf, directions, photographs.channels)
+    albedo = known_albedo(albedo, photographs.pixels, photographs.channels)
+    target = _target(photographs, irradiance, albedo[:, None])
     bright = float(np.quantile(target.values[target.values > 0], BRIGHT))
     target = target._replace(values=target.values / bright, albedo=target.albedo / bright)
     if contour and not len(silhouette(photographs.mask)[0]):
@@ -155,7 +152,7 @@ def solve_single_image(
     held = np.zeros(photographs.pixels, bool)
     held[energy.rim] = True
     corners, heights = _placed_heights(energy.corners, state.heights, spacing)
-    normals = normals_of(energy.corners.slopes(state.heights)) @ camera_axes(photographs.camera)
+    normals = normals_of(energy.corners.slopes(state.heights)) @ axes
     return SingleImage(
         normals=normals, corners=corners, heights=heights,
         prediction=state.shading.value * bright * irradiance, shadows=dark, outliers=outliers,
@@ -213,62 +210,24 @@ def _placed_heights(
     return placed_corners, placed_pixels
 
 
-def _lights(photographs: Photographs) -> tuple[np.ndarray, np.ndarray]:
+def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions in the axes of the camera `(lights, 3)`, and irradiance `(lights, 1 or channels)`."""
     lights = photographs.lights
     if not isinstance(lights, DirectionalLight):
         kind = "none" if lights is None else type(lights).__name__
         raise ValueError(f"shape from shading needs known lights far away (DirectionalLight), got {kind}")
-    if photographs.camera is not None and photographs.camera.needs_positions:
-        raise ValueError("the camera must be far away, got one that sees points from different directions")
     directions = np.asarray(lights.direction, float)
     length = np.linalg.norm(directions, axis=1, keepdims=True)
     if not np.all(np.isfinite(length) & (length > 0)):
         raise ValueError("directions of lights must be finite and not zero")
-    directions = directions / length @ camera_axes(photographs.camera).T
+    directions = directions / length @ axes.T
     if not np.all(directions[:, 2] > 0):
         raise ValueError(f"lights must be on the camera's side of the object, z > 0, got {directions[:, 2].min()}")
     irradiance = strengths(lights).astype(float)
-    if irradiance.shape[1] not in (1, photographs.channels):
-        raise ValueError(
-            f"lights must have 1 channel or {photographs.channels}, as photographs have, got {irradiance.shape[1]}"
-        )
+    check_channels("lights", irradiance.shape[1], photographs.channels)
     if not np.all(np.isfinite(irradiance) & (irradiance > 0)):
         raise ValueError("the irradiance of every light must be a finite number above 0")
     return directions, irradiance
-
-
-def _check_brdf(brdf: AbstractBRDF, directions: Float[np.ndarray, "lights 3"], channels: int) -> None:
-    nodes, inside = grid(17)
-    slopes = -nodes[inside, :2] / nodes[inside, 2:]
-    values = slope_shading(brdf, directions, slopes).value
-    if values.shape[2] not in (1, channels):
-        raise ValueError(f"the BRDF must have 1 channel or {channels}, as photographs have, got {values.shape[2]}")
-    if not np.all(np.isfinite(values)):
-        raise ValueError("the BRDF is not finite for all normals that face the camera and the light")
-    if not values.max() > 0:
-        raise ValueError("the BRDF reflects nothing of the light towards the camera")
-    # Turned about the normal by one radian.
-    cosine, sine = np.cos(1), np.sin(1)
-    turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-    up = nodes[inside & (nodes[:, 2] > 0.3)]
-    wi, wo = up, np.roll(up, 7, axis=0)
-    first, second = (np.asarray(brdf(*(jnp.asarray(w @ m) for w in (wi, wo)))) for m in (np.eye(3), turn))
-    if np.max(np.abs(first - second)) > TURNED * np.max(np.abs(first)):
-        raise ValueError("the BRDF must be isotropic: it changes when both directions turn about the normal")
-
-
-def _albedo(albedo: Any, photographs: Photographs) -> Float[np.ndarray, "pixels 1 channels"]:
-    if albedo is None:
-        return np.ones((photographs.pixels, 1, photographs.channels))
-    given = np.asarray(albedo, float)
-    if given.shape not in ((photographs.pixels,), (photographs.pixels, photographs.channels)):
-        expected = f"({photographs.pixels},) or ({photographs.pixels}, {photographs.channels})"
-        raise ValueError(f"albedo must be {expected}, got {given.shape}")
-    if not np.all(np.isfinite(given) & (given >= 0)):
-        raise ValueError("albedo must be finite and not negative")
-    given = given.reshape(photographs.pixels, 1, -1)
-    return np.broadcast_to(given, (photographs.pixels, 1, photographs.channels))
 
 
 def _target(photographs: Photographs, irradiance: np.ndarray, albedo: np.ndarray) -> Target:

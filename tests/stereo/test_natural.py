@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from hshjax.bases import HSH, IsotropicBasis
-from hshjax.brdfs import GGX, Lambert
+from hshjax.brdfs import GGX, Lambert, Ward
+from hshjax.camera import OrthographicCamera, PerspectiveCamera
 from hshjax.fitting import to_series
 from hshjax.lighting import DirectionalLight, HarmonicLight
 from hshjax.photographs import Photographs
 from hshjax.reflectance import reflect
 from hshjax.stereo import angular_errors, light_from_shape, solve_natural
 from hshjax.stereo._inflated import Bulge, Inflated, bending
-from hshjax.stereo._natural import Bend, _term
+from hshjax.stereo._natural import Bend, NaturalShape, _term
 from tests.helpers import DTYPE, X64, assert_close
 
 VIEW = jnp.asarray([0, 0, 1], DTYPE)
@@ -82,12 +83,11 @@ def test_normals_are_those_of_heights():
     assert np.mean(angular_errors(normals[middle], expected[middle])) < 0.3
 
 
-@pytest.mark.parametrize("mask", [np.eye(5, dtype=bool), np.ones((1, 4), bool), np.ones((6, 5), bool)])
+@pytest.mark.parametrize("mask", [np.eye(5, dtype=bool), np.ones((2, 4), bool), np.ones((6, 5), bool)])
 def test_odd_outlines_have_finite_normals(mask):
-    """Single pixels, one row, all of the rectangle."""
+    """Single pixels, two rows, all of the rectangle."""
     shape = Inflated.of(mask, DTYPE)
-    if min(mask.shape) > 1:
-        assert np.all(np.isfinite(shape.normals(shape.flat(2, 1))))
+    assert np.all(np.isfinite(shape.normals(shape.flat(2, 1))))
     assert np.all(np.asarray(shape.dome) > 0)
 
 
@@ -167,6 +167,32 @@ def test_what_tells_no_light_is_refused(values, settings, message, unchecked):
         light_from_shape(values, np.tile([[0.0, 0, 1]], (5, 1)), **settings)
 
 
+WRONG = {
+    "more channels": ({"brdf": Lambert((0.5, 0.4, 0.3))}, "the BRDF must have 1 channel or 1, .* got 3"),
+    "anisotropic": ({"brdf": Ward(0.1, 0.5, 0.1)}, "must be isotropic"),
+    "black": ({"brdf": Lambert(0.0)}, "reflects nothing"),
+    "NaN": ({"brdf": Lambert(np.nan)}, "the BRDF is not finite"),
+    "albedo of channels": ({"albedo": np.ones(3)}, r"albedo must be \(\d+,\) or \(\d+, 1\), got \(3,\)"),
+    "negative albedo": ({"albedo": -1.0}, "albedo must be finite and not negative"),
+    "NaN albedo": ({"albedo": np.nan}, "albedo must be finite and not negative"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_materials_that_do_not_fit_are_refused(name):
+    """Of photographs of one channel. Albedos that are numbers are of one pixel in the middle."""
+    settings, message = WRONG[name]
+    given = photograph([light(2, channels=1)], size=12)
+    if np.ndim(settings.get("albedo", [])) == 0:
+        factors = np.ones((given.pixels, 1))
+        factors[given.pixels // 2] = settings["albedo"]
+        settings = {"albedo": factors}
+    with pytest.raises(ValueError, match=message):
+        solve_natural(given, **settings)
+    with pytest.raises(ValueError, match=message):
+        light_from_shape(given.values[:, 0], given.truth, **settings)
+
+
 # Shape
 
 
@@ -211,20 +237,59 @@ def test_shape_in_known_light():
 
 @pytest.mark.slow
 def test_shape_and_light_both_unknown():
-    """Colours tell them apart, but hardly how high it is: what is found explains the photograph as well as the truth
-    does, and starts that end as low may lie degrees apart, which `spread` says."""
+    """Colours tell them apart. Of domes that lie degrees apart and err by 12.1 and 4.9, both end at one shape, which is
+    nearer to the truth than either (4.2), though hardly as near as the outline of so few pixels allows."""
     given, result = found(True)
-    assert result.residual < 0.05
-    assert result.agreeing() >= 1
+    assert result.residual < 0.02
+    assert result.agreeing() == 2
     assert result.spread[np.argmin(result.losses)] == 0
-    assert np.mean(angular_errors(result.normals, given.truth)) < 15
+    assert np.max(result.spread) < 0.5
+    dome = Inflated.of(given.mask, DTYPE)
+    starts = [np.asarray(dome.normals(dome.flat(1, 0, height)), float) for height in (1.0, 0.5)]
+    assert np.mean(angular_errors(*starts)) > 5
+    errors = [float(np.mean(angular_errors(normals, given.truth))) for normals in (result.normals, *starts)]
+    assert errors[0] < 0.95 * min(errors[1:])
     again = reflect(
         Lambert(jnp.ones((), DTYPE)),
         HarmonicLight(result.lights.coefficients[0]),
         jnp.asarray(result.normals, DTYPE),
         VIEW,
     )
-    assert_close(again, result.radiance[:, 0], tolerance=1e-5 if X64 else 1e-3)
+    assert_close(again, result.prediction[:, 0], tolerance=1e-5 if X64 else 1e-3)
+
+
+AXES = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])
+"""Right, up, towards: no turn that is its own inverse."""
+
+
+@pytest.mark.parametrize("unknown", [False, True])
+def test_a_camera_far_away_may_be_turned(unknown):
+    """With the light: the world is that of the lights, and normals and lights that are found turn with it."""
+    given = photograph([light(2)], height=0.6, size=16)
+    camera = OrthographicCamera(AXES[2], AXES[1], height=2.2, resolution=(16, 16))
+    turn = jnp.asarray(AXES.T, DTYPE)
+    lights = jax.vmap(lambda one: one.rotated(turn))(given.lights)
+    scenes = given, replace(given, lights=lights, camera=camera)
+    if unknown:
+        scenes = tuple(replace(scene, lights=None) for scene in scenes)
+    plain, turned = (solve_natural(scene, heights=(0.5,), steps=20) for scene in scenes)
+    # Steps are the same up to rounding of the lights.
+    tolerance = 1e-6 if X64 else 1e-2
+    np.testing.assert_allclose(turned.normals, plain.normals @ AXES, atol=tolerance)
+    back = jax.vmap(lambda one: one.rotated(turn.T))(turned.lights)
+    np.testing.assert_allclose(back.coefficients, plain.lights.coefficients, atol=3 * tolerance)
+    # and what is returned is Eq. 1 in the world
+    towards = jnp.asarray(AXES[2], DTYPE)
+    one = HarmonicLight(turned.lights.coefficients[0])
+    again = reflect(Lambert(jnp.ones((), DTYPE)), one, jnp.asarray(turned.normals, DTYPE), towards)
+    assert_close(again, turned.prediction[:, 0], tolerance=1e-6 if X64 else 1e-3)
+
+
+def test_starts_that_diverge_do_not_agree():
+    one, lights = np.ones((1, 1)), jax.vmap(HarmonicLight)(jnp.ones((1, 9, 1)))
+    losses = np.array([np.nan, 2.0, 2.02, 2.1])
+    result = NaturalShape(np.array([[0.0, 0, 1]]), np.ones(1), lights, one[None], 0.1, losses, np.zeros(4), one > 0, ())
+    assert result.agreeing() == 2
 
 
 def test_nothing_tells_a_shape_from_its_reflection_in_depth():
@@ -278,5 +343,15 @@ def test_photographs_that_tell_nothing_are_refused():
     with pytest.raises(ValueError, match="None or HarmonicLight"):
         solve_natural(replace(given, lights=lamps))
     two = jax.vmap(HarmonicLight)(jnp.ones((2, 4, 2)))
-    with pytest.raises(ValueError, match="1 channel or 3"):
+    with pytest.raises(ValueError, match=r"lights must have 1 channel or 3, .* got 2"):
         solve_natural(replace(given, lights=two))
+    near = PerspectiveCamera((0.0, 0, 5), (0.0, 0, 0), (0.0, 1, 0), field_of_view=0.5, resolution=(12, 12))
+    with pytest.raises(ValueError, match="the camera must be far away"):
+        solve_natural(replace(given, camera=near))
+
+
+@pytest.mark.parametrize("shape", [(1, 4), (5, 1)])
+def test_a_row_or_column_is_refused(shape):
+    given = Photographs(np.ones((max(shape), 1, 1)), np.ones(shape, bool))
+    with pytest.raises(ValueError, match="the mask must have at least 2 rows and 2 columns, got"):
+        solve_natural(given)

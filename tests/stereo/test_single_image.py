@@ -322,6 +322,8 @@ def with_lights(scene, directions, irradiance=1.0):
     return replace(scene, lights=jax.vmap(hshjax.DirectionalLight)(jnp.asarray(directions, DTYPE), strength))
 
 
+NEARBY = hshjax.PerspectiveCamera((0.0, 0, 5), (0.0, 0, 0), (0.0, 1, 0), field_of_view=0.5, resolution=(12, 12))
+
 HOSTILE = {
     "lights unknown": (lambda s: (replace(s, lights=None), GLOSSY, {}), "known lights far away .* got none"),
     "light behind": (lambda s: (with_lights(s, [[1.0, 0, -0.1]]), GLOSSY, {}), "camera's side of the object, z > 0"),
@@ -337,6 +339,15 @@ HOSTILE = {
     "spacing": (lambda s: (s, GLOSSY, {"spacing": np.inf}), "spacing must be a finite number above 0, got inf"),
     "no start": (lambda s: (s, GLOSSY, {"starts": ()}), "starts must be some of smooth, convex"),
     "albedo": (lambda s: (s, GLOSSY, {"albedo": np.ones(3)}), "albedo must be .* got \\(3,\\)"),
+    "near camera": (
+        lambda s: (
+            replace(s, camera=NEARBY),
+            GLOSSY,
+            {},
+        ),
+        "the camera must be far away",
+    ),
+    "NaN albedo": (lambda s: (s, GLOSSY, {"albedo": np.full(s.pixels, np.nan)}), "finite and not negative"),
     "negative albedo": (lambda s: (s, GLOSSY, {"albedo": -np.ones(s.pixels)}), "finite and not negative"),
 }
 
