@@ -29,6 +29,11 @@ WALL = 10.0
 """Of bounds: a number that is outside by a tenth of what photographs leave open counts as much as noise."""
 
 
+LEAST = 400.0
+"""Added to Hessians by normals where they are inverted, and nowhere else: steps of what photographs say nothing of are
+those of a normal that is known to a twentieth of the chart's radius."""
+
+
 class Unknowns(eqx.Module):
     """Free numbers of order 1, 0 at the start; see `Coordinates`.
 
@@ -175,8 +180,8 @@ class InBounds(AbstractTerm):
 
 
 class NearNormals(AbstractTerm):
-    """Moves of normals since the start `pq` over what the data alone would leave open: root (n, 2, 2), the Cholesky
-    factor of the data's Hessian times a stiffness."""
+    """Moves of normals since the start `pq` over what the data alone would leave open: root (n, 2, 2) of the data's
+    Hessian times a stiffness (`root_of`)."""
 
     pq: Float[Array, "n 2"]
     root: Float[Array, "n 2 2"]
@@ -240,11 +245,23 @@ def slopes_at(
 
 @eqx.filter_jit
 def of_normals(slopes: Slopes, trust: Float[Array, "n lights"]) -> Float[Array, "n 2 2"]:
-    """Cholesky factor of the data's Hessian by the normals, weights projected out."""
+    """The data's Hessian by the normals, weights projected out: of what photographs say nothing of, singular."""
     nothing = jnp.zeros_like(trust)
-    hessian, _ = normal_equations(slopes.shading, slopes.turned, slopes.weights, nothing, trust)
-    # As if normals were known to a twentieth of the chart's radius: what photographs say nothing of stays.
-    return jnp.linalg.cholesky(hessian + 400 * jnp.eye(2, dtype=trust.dtype)[None])
+    return normal_equations(slopes.shading, slopes.turned, slopes.weights, nothing, trust)[0]
+
+
+@eqx.filter_jit
+def root_of(hessian: Float[Array, "n 2 2"]) -> Float[Array, "n 2 2"]:
+    """A root R of a Hessian that may be singular: R Rᵀ is the Hessian."""
+    values, vectors = jnp.linalg.eigh(hessian)
+    return vectors * jnp.sqrt(jnp.maximum(values, 0))[:, None]  # below 0 by rounding alone
+
+
+@eqx.filter_jit
+def whitening(hessian: Float[Array, "n 2 2"]) -> Float[Array, "n 2 2"]:
+    """A of `Coordinates`: A Aᵀ is the inverse of the Hessian, with `LEAST` added."""
+    factor = jnp.linalg.cholesky(hessian + LEAST * jnp.eye(2, dtype=hessian.dtype)[None])
+    return jnp.swapaxes(jnp.linalg.inv(factor), 1, 2)
 
 
 @eqx.filter_jit
@@ -255,7 +272,7 @@ def of_numbers(
     prior: Float[Array, "numbers numbers"],
 ) -> tuple[Float[Array, "numbers numbers"], Float[Array, "n 2 numbers"]]:
     """C and B of `Coordinates`: the inverse root of the Hessian by the numbers of the BRDF, all that pixels have of
-    their own projected out, and how normals answer. `free`: whether normals move at all."""
+    their own projected out, and how normals answer. `normals`: the root of what holds them; None: they do not move."""
     turned = jnp.sum(slopes.weights[:, None, :, None] * slopes.turned, axis=2)
     own = jnp.concatenate([slopes.shading, turned], axis=1)
     active = jnp.concatenate([slopes.weights > 0, jnp.full((len(turned), 2), normals is not None)], axis=1)
@@ -263,7 +280,8 @@ def of_numbers(
     unit = jnp.eye(own.shape[1], dtype=trust.dtype)[None]
     gram = jnp.where(active[:, :, None] & active[:, None], matmul(weighted, jnp.swapaxes(own, 1, 2)), unit)
     if normals is not None:
-        gram = gram.at[:, -2:, -2:].add(matmul(normals, jnp.swapaxes(normals, 1, 2)))
+        held = matmul(normals, jnp.swapaxes(normals, 1, 2)) + LEAST * jnp.eye(2, dtype=trust.dtype)[None]
+        gram = gram.at[:, -2:, -2:].add(held)
     gram = gram + (1e-4 * jnp.diagonal(gram, axis1=1, axis2=2)[..., None] + 1e-6) * unit
     coupling = matmul(weighted, jnp.swapaxes(slopes.numbers, 1, 2))
     coupling = jnp.where(active[..., None], coupling, 0)

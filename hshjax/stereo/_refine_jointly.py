@@ -33,7 +33,9 @@ from hshjax.stereo._joint import (
     of_normals,
     of_numbers,
     of_prior,
+    root_of,
     slopes_at,
+    whitening,
 )
 from hshjax.stereo._learn import BEST, START, STIFFNESS, Shared
 from hshjax.stereo._observe import Observations
@@ -101,9 +103,10 @@ def refine_jointly(
       of them once, with the noise that is found: errors of a model do not average out as noise does.
     - `solver`: of `fit`; None: `optimistix.LBFGS`. - `seed`: of the choice of pixels. - `progress`: as elsewhere.
 
-    Values that `stereo` masks (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are
-    found anew. `history` goes on with stages "joint" and "follow", with the losses at start and end. Works in jax's
-    default float; what is returned is float32, as elsewhere.
+    Lights and camera to begin with are those of `stereo`, whatever the photographs say. Values that it masks
+    (`outliers`, `shadows`) count for nothing; at the end masks, weights and deviations are found anew. `history` goes
+    on with stages "joint" and "follow", with the losses at start and end. Works in jax's default float; what is
+    returned is float32, as elsewhere.
 
     **Raises:** ValueError for photographs that do not belong to the result, for a BRDF of another number of channels
     than the materials, nothing to refine, and other arguments out of range.
@@ -117,22 +120,26 @@ def refine_jointly(
             raise ValueError(f"{name} must be {'at least' if name == 'stiffness' else 'above'} 0, got {value}")
     dtype = jnp.result_type(float)
     model = in_dtype(stereo.brdf if start is None else start, dtype)
-    observations, history = Observations(replace(photographs, lights=stereo.lights)), History(progress)
+    observations = Observations(replace(photographs, lights=stereo.lights, camera=stereo.camera))
+    history = History(progress)
     if observations.geometry.positions is not None:
         raise ValueError("lights and camera must be far away for joint refinement: others change from pixel to pixel")
     everywhere = slice(None)
     found = Rendered(model, observations.geometry.towards(everywhere).astype(dtype), jnp.ones(photographs.count, dtype))
     if found.columns != stereo.weights.shape[1]:
         raise ValueError(f"the BRDF has {found.columns} channels, the result {stereo.weights.shape[1]} materials")
+    mask = False if brdf is False else amplitudes(model) if brdf is True else chosen(model, brdf)
+    material = Material.of(model, jax.tree.map(lambda _: False, model) if mask is False else mask)
+    if not (normals or lights or material.start.size):
+        raise ValueError("nothing is to be refined: the BRDF is linear in none of its numbers; pick parts with brdf=")
     solver = optx.LBFGS(rtol=SETTLED, atol=STILL) if solver is None else solver
     local = observations.geometry.local(stereo.normals, everywhere)
     pq = np.asarray(to_chart(jnp.asarray(local, jnp.float32)))
     settings = _Settings(solver, rounds, steps, stiffness, turns, gains)
     some = observations.some(pixels, np.random.default_rng(seed))
     with history.stage("joint", rounds) as done:
-        problem = _Problem.of(observations, stereo, found, some, pq[some], best=True)
-        mask = False if brdf is False else amplitudes(model) if brdf is True else chosen(model, brdf)
-        material = Material.of(model, jax.tree.map(lambda _: False, model) if mask is False else mask)
+        masked = jnp.asarray(stereo.outliers[some] | stereo.shadows[some])
+        problem = _Problem.of(observations.pixels(some), masked, stereo.stray, found, pq[some], best=True)
         state, figures = _together(problem, found, material, settings, normals, lights, done)
         done.figures |= figures
     with history.stage("follow", observations.steps) as done:
@@ -150,7 +157,7 @@ def refine_jointly(
         done.figures["outliers"] = float(np.mean(end["outliers"]))
     return Stereo(
         brdf=brdf_found, lights=observations.lights, stray=stereo.stray, mask=stereo.mask,
-        history=(*stereo.history, *history.stages), camera=photographs.camera, positions=None, **end,
+        history=(*stereo.history, *history.stages), camera=stereo.camera, positions=None, **end,
     )  # fmt: skip
 
 
@@ -178,12 +185,10 @@ class _Problem(NamedTuple):
     noise: float
 
     @classmethod
-    def of(cls, observations, stereo, shading, part, pq, *, best=False, noise=None) -> "_Problem":
-        """Of some pixels of a result; `best`: of those that fit best alone."""
-        seen = observations.pixels(part)
+    def of(cls, seen, masked, stray, shading, pq, *, best=False, noise=None) -> "_Problem":
+        """Of pixels that are seen, and which of their values a result masks; `best`: of those that fit best alone."""
         dtype = shading.directions.dtype
-        values = seen.without(jnp.asarray(stereo.stray, jnp.float32)).astype(dtype)
-        masked = jnp.asarray(stereo.outliers[part] | stereo.shadows[part])
+        values = seen.without(jnp.asarray(stray, jnp.float32)).astype(dtype)
         plain = jnp.where(masked, 0, initial_trust(values, seen.known.astype(dtype)))
         pq = jnp.asarray(pq, dtype)
         found = _at(shading, pq)
@@ -248,8 +253,6 @@ def _together(problem, found, material, settings, normals, lights, done) -> tupl
     moves = tuple(
         name for name, there in (("normals", normals), ("brdf", material.start.size > 0), ("lights", lights)) if there
     )
-    if not moves:
-        return state, {}
     prior = _Prior.of(problem, found, material, settings)
     losses, steps, residual = [], 0, problem.residual
     for _ in range(settings.rounds):
@@ -288,7 +291,7 @@ class _Prior(NamedTuple):
         amount = jnp.sum(trust) * problem.noise
         materials = STIFFNESS * amount * jnp.mean(slopes.weights**2, axis=0) / (len(pq) * len(found.directions))
         deviations = jnp.asarray([settings.turns, settings.turns, settings.gains], trust.dtype)
-        root = of_normals(slopes, settings.stiffness * trust)
+        root = settings.stiffness**0.5 * root_of(of_normals(slopes, trust))
         return cls(pq, shading, materials, root, amount / trust.shape[1] / deviations**2, found.directions)
 
 
@@ -308,7 +311,7 @@ def _round(problem, prior, state, residual, material, settings, moves) -> tuple[
     metric = of_prior(material, state.y, rendered, prior.pq, prior.materials)
     mix, response = of_numbers(slopes, trust, prior.root if "normals" in moves else None, metric)
     across = jnp.asarray(tangents(np.asarray(state.directions, float)), trust.dtype)
-    own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
+    own = whitening(of_normals(slopes, (1 + settings.stiffness) * trust))
     scale = of_lights(slopes, trust, rendered, state.pq, across, prior.lights)
     coordinates = Coordinates(
         material, state.y, mix, state.pq, own, response if "normals" in moves else jnp.zeros_like(response),
@@ -349,17 +352,18 @@ def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np
     dtype = shared.directions.dtype
     empty, still = jnp.zeros((0, 0), dtype), jnp.zeros((len(shared.directions), 3), dtype)
     found = np.empty_like(pq)
-    for part in observations.slices():
-        problem = _Problem.of(observations, stereo, shared, part, pq[part], noise=noise)
+    masked = stereo.outliers | stereo.shadows
+    for part, seen in observations.tiles():
+        hidden, begin = observations.filled(masked[part]), observations.filled(pq[part])
+        problem = _Problem.of(seen, hidden, stereo.stray, shared, begin, noise=noise)
         now, residual = problem.pq, problem.residual
         first = problem.trust(residual)
-        keep = of_normals(
-            slopes_at(nothing, still[0, :0], shared, now, problem.values, first), settings.stiffness * first
-        )
+        slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, first)
+        keep = settings.stiffness**0.5 * root_of(of_normals(slopes, first))
         for _ in range(settings.rounds):
             trust = problem.trust(residual)
             slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, trust)
-            own = jnp.swapaxes(jnp.linalg.inv(of_normals(slopes, (1 + settings.stiffness) * trust)), 1, 2)
+            own = whitening(of_normals(slopes, (1 + settings.stiffness) * trust))
             coordinates = Coordinates(
                 nothing, still[0, :0], empty, now, own, jnp.zeros((len(now), 2, 0), dtype),
                 shared.directions, jnp.zeros((len(still), 2, 3), dtype), still[:, 0], still,
