@@ -13,6 +13,7 @@ from hshjax.photographs import LUMA, Photographs
 from hshjax.stereo._chart import from_chart
 from hshjax.stereo._geometry import Far, Geometry
 from hshjax.stereo._highlit import below_highlights
+from hshjax.stereo._known import check_channels
 from hshjax.stereo._learn import Pixels
 from hshjax.stereo._near import Near
 from hshjax.stereo._strength import strengths, with_strengths
@@ -156,10 +157,7 @@ def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3
     strength = strengths(lights)
     if not np.all(np.isfinite(strength) & (strength > 0)):
         raise ValueError("the irradiance of every light must be above 0: leave out photographs without light")
-    if strength.shape[1] not in (1, photographs.channels):
-        raise ValueError(
-            f"lights must have 1 channel or {photographs.channels}, as photographs have, got {strength.shape[1]}"
-        )
+    check_channels("lights", strength.shape[1], photographs.channels)
     if isinstance(lights, DirectionalLight):
         far = Far(lights, camera)  # raises for wrong directions
         if camera is None or not camera.needs_positions:
