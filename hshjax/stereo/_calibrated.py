@@ -95,7 +95,7 @@ def solve_calibrated(
             observations = observations.brighter(np.exp(np.asarray(shared.gains)))
         mixed = tables.mixed(shared.coefficients)
         with history.stage("normals", steps) as done:
-            return observations, mixed, shared, refine_all(observations, mixed, shared, pq, 4, 8, done)
+            return observations, mixed, shared, refine_all(observations, mixed, shared.stray, pq, 4, 8, done)
 
     given = observations
     observations, mixed, shared, pq = learned(given, pq)
@@ -105,10 +105,10 @@ def solve_calibrated(
         near, amount = neighbours(photographs.mask), smoothness * shared.noise**0.5
         for sweep in range(sweeps):
             far = neighbours(photographs.mask, FAR[sweep % len(FAR)])
-            pq = hand_on(observations, mixed, shared, pq, near, far, amount, done)
+            pq = hand_on(observations, mixed, shared.stray, pq, near, far, amount, done)
     with history.stage("reflectance", steps) as done:
         observations = observations.moved(pq)
-        found = finish(observations, mixed, shared, pq, done)
+        found = finish(observations, mixed, shared.stray, pq, done)
         done.figures["outliers"] = float(np.mean(found["outliers"]))
     return Stereo(
         brdf=combined(columns, shared.coefficients), lights=observations.lights, stray=float(shared.stray),

@@ -15,7 +15,7 @@ from hshjax._typing import Array, Float, Int
 from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF
 from hshjax.geometry import angles, azimuth
-from hshjax.stereo._shading import ShadingTable, ShadingTables, shading_table
+from hshjax.stereo._shading import SIZE, ShadingTable, ShadingTables, lerp, shading_table
 
 ANGLES = 64
 """Nodes over [0, π], 2.9 degrees apart: a highlight moves by half of that, as between nodes of the chart."""
@@ -86,18 +86,18 @@ class NearTable(ShadingTable):
 
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
         corners, u, v = self._cell(pq)
-        return _last(_mean(_mean(corners[0], corners[1], v), _mean(corners[2], corners[3], v), u))
+        return _last(lerp(lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v), u))
 
     def with_slope(
         self, pq: Float[Array, "n 2"]
     ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
         corners, u, v = self._cell(pq)
-        left, right = _mean(corners[0], corners[1], v), _mean(corners[2], corners[3], v)
+        left, right = lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v)
         cells = (self.tables.size - 1) / 2
-        along, across = (right - left) * cells, _mean(corners[1] - corners[0], corners[3] - corners[2], u) * cells
+        along, across = (right - left) * cells, lerp(corners[1] - corners[0], corners[3] - corners[2], u) * cells
         cos, sin = self.turn[..., :1], self.turn[..., 1:]
         slopes = [_last(cos * along - sin * across), _last(sin * along + cos * across)]
-        return _last(_mean(left, right, u)), jnp.stack(slopes, axis=1)
+        return _last(lerp(left, right, u)), jnp.stack(slopes, axis=1)
 
     def _cell(self, pq: Array) -> tuple[list[Array], Array, Array]:
         """Values `(n, lights, columns)` at the corners (0, 0), (0, 1), (1, 0), (1, 1) of cells, and where in them."""
@@ -109,10 +109,10 @@ class NearTable(ShadingTable):
         first = (self.node * size + corner[0]) * size + corner[1]
         flat = self.tables.values.reshape(-1, self.columns)
         layers = [[flat[first + above + step] for above in (0, size * size)] for step in (0, 1, size, size + 1)]
-        return [_mean(low, high, self.above[..., None]) for low, high in layers], u, v
+        return [lerp(low, high, self.above[..., None]) for low, high in layers], u, v
 
 
-def near_tables(brdfs: Sequence[AbstractBRDF], share: Float[Array, " angles"], size: int = 129) -> NearTables:
+def near_tables(brdfs: Sequence[AbstractBRDF], share: Float[Array, " angles"], size: int = SIZE) -> NearTables:
     """The tables of all channels of some isotropic BRDFs, one after the other, in the dtype of `share`."""
     theta = np.linspace(0, np.pi, len(share))
     lights = jnp.asarray(np.stack([np.sin(theta), np.zeros_like(theta), np.cos(theta)], axis=1), share.dtype)
@@ -131,10 +131,6 @@ def _angle_place(towards: Array, count: int) -> tuple[Array, Array]:
     place = angles(towards)[0] * ((count - 1) / np.pi)
     node = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, count - 2)
     return node, place - node.astype(place.dtype)
-
-
-def _mean(a: Array, b: Array, share: Array) -> Array:
-    return a + share * (b - a)
 
 
 def _last(values: Float[Array, "n lights columns"]) -> Float[Array, "n columns lights"]:

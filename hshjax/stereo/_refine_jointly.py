@@ -37,7 +37,7 @@ from hshjax.stereo._joint import (
     slopes_at,
     whitening,
 )
-from hshjax.stereo._learn import BEST, START, STIFFNESS, Shared
+from hshjax.stereo._learn import BEST, START, STIFFNESS
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._refine import weigh
 from hshjax.stereo._rendered import Rendered
@@ -152,8 +152,8 @@ def refine_jointly(
     brdf_found = in_dtype(state.brdf, jnp.float32)
     with history.stage("reflectance", observations.steps) as done:
         one = jnp.ones(photographs.count, jnp.float32)
-        still = Shared(jnp.zeros((0, 0)), jnp.asarray(stereo.stray, jnp.float32), problem.noise, one)
-        end = finish(observations, Rendered(brdf_found, towards, one), still, pq, done)
+        stray = jnp.asarray(stereo.stray, jnp.float32)
+        end = finish(observations, Rendered(brdf_found, towards, one), stray, pq, done)
         done.figures["outliers"] = float(np.mean(end["outliers"]))
     return Stereo(
         brdf=brdf_found, lights=observations.lights, stray=stereo.stray, mask=stereo.mask,

@@ -13,15 +13,12 @@ from hshjax.bases._base import matmul
 from hshjax.stereo._chart import grid
 from hshjax.stereo._misfit import misfit
 from hshjax.stereo._refine import Estimate, predicted, robust_refine, weigh
-from hshjax.stereo._shading import FarTable, ShadingTable
+from hshjax.stereo._shading import SIZE, FarTable, ShadingTable
 from hshjax.stereo._trust import SHADOWS, initial_trust, residual_scale
 from hshjax.stereo._weights import non_negative_weights
 
 STRIDE = 6
 """Every so manieth node of a table along each axis is looked at: about 350 normals, 6 to 11 degrees apart."""
-
-SIZE = 129
-"""Of the grid that nodes are of where pixels have shading of their own."""
 
 FEW = 6
 """Steps before two minima are compared."""

@@ -18,6 +18,9 @@ from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
 from hshjax.stereo._chart import grid
 
+SIZE = 129
+"""Nodes of a table along an axis: two degrees apart at most."""
+
 
 class AbstractShading(eqx.Module):
     """Radiance of unit irradiance, BRDF times max(n·l, 0) [sr^-1], of each column of a BRDF under each light: of some
@@ -98,17 +101,17 @@ class FarTable(ShadingTable):
 
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
         corners, u, v = self._cell(pq)
-        return _between(_between(corners[0], corners[1], v), _between(corners[2], corners[3], v), u)
+        return lerp(lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v), u)
 
     def with_slope(
         self, pq: Float[Array, "n 2"]
     ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
         corners, u, v = self._cell(pq)
-        left, right = _between(corners[0], corners[1], v), _between(corners[2], corners[3], v)
+        left, right = lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v)
         along_p = right - left
-        along_q = _between(corners[1] - corners[0], corners[3] - corners[2], u)
+        along_q = lerp(corners[1] - corners[0], corners[3] - corners[2], u)
         cells = (self.size - 1) / 2
-        return _between(left, right, u), jnp.stack([along_p, along_q], axis=1) * cells
+        return lerp(left, right, u), jnp.stack([along_p, along_q], axis=1) * cells
 
     def mixed(self, coefficients: Float[Array, "materials columns"]) -> "FarTable":
         values = matmul(coefficients, self.rows()).reshape(coefficients.shape[0], self.values.shape[0], -1)
@@ -126,12 +129,13 @@ class FarTable(ShadingTable):
         return rows, inside[:, :1, None], inside[:, 1:, None]
 
 
-def _between(a: Array, b: Array, share: Array) -> Array:
+def lerp(a: Array, b: Array, share: Array) -> Array:
+    """a where the share is 0, b where it is 1."""
     return a + share * (b - a)
 
 
 @eqx.filter_jit
-def shading_table(brdfs: Sequence[AbstractBRDF], directions: Float[Array, "lights 3"], size: int = 129) -> FarTable:
+def shading_table(brdfs: Sequence[AbstractBRDF], directions: Float[Array, "lights 3"], size: int = SIZE) -> FarTable:
     """The table of all channels of some isotropic BRDFs, one after the other, for a view along +z.
 
     `directions`: towards the lights, in the world of the camera. In their dtype.

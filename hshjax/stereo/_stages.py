@@ -12,7 +12,6 @@ from hshjax._typing import Array, Float, Int
 from hshjax.stereo._band import band_trust, scaled_normals
 from hshjax.stereo._chart import from_chart, to_chart
 from hshjax.stereo._history import Running
-from hshjax.stereo._learn import Shared
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import take_over
 from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
@@ -43,13 +42,13 @@ def band_normals(
 
 
 def refine_all(
-    observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
+    observations: Observations, tables: ShadingTables, stray: Float[Array, ""], pq: Float[np.ndarray, "pixels 2"],
     rounds: int, steps: int, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
     """Every normal from where it is and from the best of normals all over, outliers found in rounds."""
     found = np.empty_like(pq)
     for part, pixels in observations.tiles():
-        values = pixels.without(shared.stray)
+        values = pixels.without(stray)
         table, begin = tables.of(observations.towards(part)), observations.filled(pq[part])
         _keep(found, part, refine_from_both(table, values, pixels.known, begin, rounds, steps))
         done()
@@ -57,7 +56,7 @@ def refine_all(
 
 
 def hand_on(
-    observations: Observations, tables: ShadingTables, shared: Shared, pq: Float[np.ndarray, "pixels 2"],
+    observations: Observations, tables: ShadingTables, stray: Float[Array, ""], pq: Float[np.ndarray, "pixels 2"],
     near: Int[np.ndarray, "pixels 8"], far: Int[np.ndarray, "pixels 8"], smoothness: float, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
     """Normals taken over from other pixels, all at once: a sweep.
@@ -66,7 +65,7 @@ def hand_on(
     """
     found, weight = np.empty_like(pq), jnp.asarray(smoothness, jnp.float32)
     for part, pixels in observations.tiles():
-        values = pixels.without(shared.stray)
+        values = pixels.without(stray)
         plain = initial_trust(values, pixels.known)
         own, there = pq[part], near[part] >= 0
         others = [
@@ -90,7 +89,7 @@ def _hand_on(table, values, plain, pq, near, far, there, smoothness):
 def finish(
     observations: Observations,
     tables: ShadingTables | Rendered,
-    shared: Shared,
+    stray: Float[Array, ""],
     pq: Float[np.ndarray, "pixels 2"],
     done: Running,
 ) -> dict[str, Any]:
@@ -101,7 +100,7 @@ def finish(
     weights = np.empty((count, materials, channels), np.float32)
     outliers, shadows = np.empty((count, lights), bool), np.empty((count, lights), bool)
     for part, pixels in observations.tiles():
-        values = pixels.without(shared.stray)
+        values = pixels.without(stray)
         plain = initial_trust(values, pixels.known)
         table = tables.of(observations.towards(part))
         estimate, trust = robust_refine(table, values, plain, observations.filled(pq[part]), 4, 0)
@@ -111,7 +110,7 @@ def finish(
             observations.geometry.world(np.asarray(from_chart(estimate.pq))[: part.stop - part.start], part),
         )
         _keep(deviation, part, predicted_deviation(table, values, trust, estimate))
-        colour = observations.colour(part) - float(shared.stray) * observations.stray(part)
+        colour = observations.colour(part) - float(stray) * observations.stray(part)
         known = np.isfinite(colour)
         both = observations.filled(np.where(known, colour, 0)), observations.filled(known.astype(np.float32))
         _keep(weights, part, _weigh_channels(table, *both, trust, estimate.pq))

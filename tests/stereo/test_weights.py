@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from hshjax.stereo._trust import median
 from hshjax.stereo._weights import LIMIT, non_negative_weights, solve
 from tests.helpers import DTYPE
 
@@ -66,10 +65,3 @@ def test_weights_have_derivatives_where_they_are_positive():
     gram = jnp.asarray([[2.0, 0.5], [0.5, 1.0]], DTYPE)
     slope = jax.jacobian(lambda moment: non_negative_weights(gram, moment)[0])(jnp.asarray([1.0, 1.0], DTYPE))
     np.testing.assert_allclose(slope, np.linalg.inv(gram), rtol=1e-5)
-
-
-@pytest.mark.parametrize("count", [1, 5, 96])
-def test_the_median_is_that_of_numpy(count):
-    values = np.random.default_rng(count).gamma(1.0, size=(40, count))
-    lower = np.sort(values, axis=1)[:, (count - 1) // 2]
-    np.testing.assert_allclose(median(jnp.asarray(values, DTYPE))[:, 0], lower, atol=values.max() / 2**13)
