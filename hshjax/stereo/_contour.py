@@ -3,6 +3,7 @@
 import numpy as np
 
 from hshjax._typing import Bool, Float, Int
+from hshjax.stereo._corners import numbers
 
 BLUR = 2.0
 """Of the mask, in pixels, whose slope is the outward direction."""
@@ -44,11 +45,10 @@ def silhouette(mask: Bool[np.ndarray, "rows columns"]) -> tuple[Int[np.ndarray, 
     down, right = (np.gradient(blurred, axis=axis)[wide:-wide, wide:-wide] for axis in (0, 1))
     edge = mask & ~np.asarray(ndimage.binary_erosion(mask, np.ones((3, 3)), border_value=1), bool)
     edge[[0, -1]] = edge[:, [0, -1]] = False
-    number = np.cumsum(mask.ravel()).reshape(mask.shape) - 1
     outward = np.stack([-right[edge], down[edge]], axis=1)
     length = np.linalg.norm(outward, axis=1)
     there = length > 0  # 0 where the mask is as wide on both sides
-    return number[edge][there], outward[there] / length[there, None]
+    return numbers(mask)[edge][there], outward[there] / length[there, None]
 
 
 def turn(normals: Float[np.ndarray, "pixels 3"], mask: Bool[np.ndarray, "rows columns"]) -> Float[np.ndarray, "3 3"]:

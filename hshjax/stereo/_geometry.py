@@ -15,7 +15,7 @@ from hshjax.camera import AbstractCamera
 from hshjax.lighting import DirectionalLight
 from hshjax.stereo._axes import camera_axes
 from hshjax.stereo._shading import ShadingTables, shading_table
-from hshjax.stereo._strength import strengths
+from hshjax.stereo._strength import strengths, unit_directions
 
 Part = slice | np.ndarray
 """Which pixels: some in a row, or by number."""
@@ -76,12 +76,8 @@ class Far(Geometry):
     starts, again = 0, 0
 
     def __init__(self, lights: DirectionalLight, camera: AbstractCamera | None):
-        directions = np.asarray(lights.direction, float)
-        length = np.linalg.norm(directions, axis=1, keepdims=True)
-        if not np.all(np.isfinite(length) & (length > 0)):
-            raise ValueError("directions of lights must be finite and not zero")
         self._axes = camera_axes(camera)
-        self._directions = jnp.asarray(directions / length @ self._axes.T, jnp.float32)
+        self._directions = jnp.asarray(unit_directions(lights) @ self._axes.T, jnp.float32)
         self._irradiance = strengths(lights).astype(np.float32)
 
     @property

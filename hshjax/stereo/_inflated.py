@@ -17,6 +17,7 @@ import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int
 from hshjax.geometry import normalized
+from hshjax.stereo._corners import numbers
 
 
 class Bulge(eqx.Module):
@@ -123,7 +124,7 @@ def _dome(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     from scipy.sparse.linalg import spsolve
 
     wide = np.pad(mask, 1)
-    number = np.cumsum(wide.ravel()).reshape(wide.shape) - 1
+    number = numbers(wide)
     row, column = np.nonzero(wide)
     count = len(row)
     sides = {}

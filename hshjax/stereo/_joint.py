@@ -28,7 +28,6 @@ RIDGE = 1e-5
 WALL = 10.0
 """Of bounds: a number that is outside by a tenth of what photographs leave open counts as much as noise."""
 
-
 LEAST = 400.0
 """Added to Hessians by normals where they are inverted, and nowhere else: steps of what photographs say nothing of are
 those of a normal that is known to a twentieth of the chart's radius."""
@@ -54,7 +53,7 @@ class Material(eqx.Module):
 
     @classmethod
     def of(cls, brdf: AbstractBRDF, chosen: Any) -> "Material":
-        """`chosen`: the tree of the BRDF with True where a number moves."""
+        """`chosen`: the tree of the BRDF with True where a number moves; False: none does."""
         moving, held = eqx.partition(brdf, chosen)
         return cls(moving, held, tuple(declared(moving)))
 

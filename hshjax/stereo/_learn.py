@@ -120,10 +120,15 @@ def learning_weight(
 ) -> Float[Array, "n lights"]:
     """How much values count where shared unknowns are learned: those of the `BEST` pixels, without outliers."""
     plain = initial_trust(values, known)
-    misfit = jnp.mean(jnp.minimum(plain * jnp.abs(residual), 0.3), axis=1)
-    best = (misfit <= jnp.quantile(misfit, BEST)).astype(values.dtype)[:, None]
+    best = fits_best(plain, residual).astype(values.dtype)[:, None]
     scale = residual_scale(residual, plain > 0)
     return best * initial_trust(values, known, SHADOWS) * biweight(residual, scale)
+
+
+def fits_best(plain: Float[Array, "n lights"], residual: Float[Array, "n lights"]) -> Bool[Array, " n"]:
+    """Which pixels are the `BEST` share, by residuals of values that are trusted, none of which counts for much."""
+    misfit = jnp.mean(jnp.minimum(plain * jnp.abs(residual), 0.3), axis=1)
+    return misfit <= jnp.quantile(misfit, BEST)
 
 
 def keep_materials(

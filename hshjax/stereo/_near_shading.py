@@ -15,7 +15,7 @@ from hshjax._typing import Array, Float, Int
 from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF
 from hshjax.geometry import angles, azimuth
-from hshjax.stereo._shading import SIZE, ShadingTable, ShadingTables, lerp, shading_table
+from hshjax.stereo._shading import SIZE, ShadingTable, ShadingTables, bilinear, bilinear_slopes, lerp, shading_table
 
 ANGLES = 64
 """Nodes over [0, π], 2.9 degrees apart: a highlight moves by half of that, as between nodes of the chart."""
@@ -86,18 +86,17 @@ class NearTable(ShadingTable):
 
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
         corners, u, v = self._cell(pq)
-        return _last(lerp(lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v), u))
+        return _last(bilinear(corners, u, v))
 
     def with_slope(
         self, pq: Float[Array, "n 2"]
     ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
         corners, u, v = self._cell(pq)
-        left, right = lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v)
         cells = (self.tables.size - 1) / 2
-        along, across = (right - left) * cells, lerp(corners[1] - corners[0], corners[3] - corners[2], u) * cells
+        along, across = (slope * cells for slope in bilinear_slopes(corners, u, v))
         cos, sin = self.turn[..., :1], self.turn[..., 1:]
         slopes = [_last(cos * along - sin * across), _last(sin * along + cos * across)]
-        return _last(lerp(left, right, u)), jnp.stack(slopes, axis=1)
+        return _last(bilinear(corners, u, v)), jnp.stack(slopes, axis=1)
 
     def _cell(self, pq: Array) -> tuple[list[Array], Array, Array]:
         """Values `(n, lights, columns)` at the corners (0, 0), (0, 1), (1, 0), (1, 1) of cells, and where in them."""

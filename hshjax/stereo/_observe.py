@@ -16,14 +16,12 @@ from hshjax.stereo._highlit import below_highlights
 from hshjax.stereo._known import check_channels
 from hshjax.stereo._learn import Pixels
 from hshjax.stereo._near import Near
-from hshjax.stereo._strength import strengths, with_strengths
+from hshjax.stereo._strength import brighter, strengths, unit_directions
+from hshjax.stereo._tiles import filled, slices, tile_length
 from hshjax.stereo._trust import brightness
 
 TILE = 8192
 """Pixels that are looked at together: memory is that of a tile, whatever the size of the photographs."""
-
-STEP = 512
-"""Lengths of the tile of a small object are multiples of this: objects of like size share programs."""
 
 PLANE = 1e-3
 """Least singular value of the directions of lights."""
@@ -79,12 +77,13 @@ class Observations:
 
     def brighter(self, factors: Float[np.ndarray, " lights"]) -> "Observations":
         """Of the same photographs, under lights whose irradiance is multiplied."""
-        lights = with_strengths(self.lights, strengths(self.lights) * factors[:, None])
-        photographs = replace(self.photographs, lights=lights)
+        photographs = replace(self.photographs, lights=brighter(self.lights, factors))
         return Observations(photographs, geometry=geometry_of(photographs, self.geometry.positions))
 
     def moved(self, pq: Float[np.ndarray, "pixels 2"]) -> "Observations":
         """Of the same photographs, pixels on the surface of these normals: the same where all is far away."""
+        if self.geometry.positions is None:
+            return self
         return self.surfaced(self.geometry.world(np.asarray(from_chart(jnp.asarray(pq))), slice(None)))
 
     def surfaced(self, normals: Float[np.ndarray, "pixels 3"]) -> "Observations":
@@ -104,8 +103,7 @@ class Observations:
 
     def slices(self) -> Iterator[slice]:
         """Which pixels the tiles are of."""
-        for begin in range(0, self.photographs.pixels, TILE):
-            yield slice(begin, min(begin + TILE, self.photographs.pixels))
+        return slices(self.photographs.pixels, TILE)
 
     def tiles(self) -> Iterator[tuple[slice, Pixels]]:
         """All pixels, tile by tile. The last tile is filled up with pixels of which nothing is known."""
@@ -115,8 +113,7 @@ class Observations:
 
     def filled(self, array: Array | np.ndarray) -> Array:
         """An array `(pixels of a tile, ...)`, filled up with zeros to the length that all tiles have."""
-        length = min(TILE, -(-self.photographs.pixels // STEP) * STEP)
-        return jnp.pad(jnp.asarray(array), ((0, length - len(array)), *((0, 0),) * (array.ndim - 1)))
+        return filled(array, tile_length(self.photographs.pixels, TILE))
 
     def pixels(self, part: slice | np.ndarray) -> Pixels:
         """Some pixels."""
@@ -159,9 +156,9 @@ def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3
         raise ValueError("the irradiance of every light must be above 0: leave out photographs without light")
     check_channels("lights", strength.shape[1], photographs.channels)
     if isinstance(lights, DirectionalLight):
-        far = Far(lights, camera)  # raises for wrong directions
+        unit_directions(lights)  # raises, whatever the camera is
         if camera is None or not camera.needs_positions:
-            return far
+            return Far(lights, camera)
     if not isinstance(camera, OrthographicCamera | PerspectiveCamera):
         kind = "none" if camera is None else type(camera).__name__
         raise ValueError(

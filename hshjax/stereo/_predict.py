@@ -14,10 +14,10 @@ from hshjax.lighting import AbstractLighting, DirectionalLight, PointLight
 from hshjax.reflectance import reflect
 from hshjax.stereo._result import Stereo
 from hshjax.stereo._strength import Lights, strengths, with_strengths
+from hshjax.stereo._tiles import filled, slices, tile_length
 
-TILE, STEP = 4096, 512
-"""Pixels that are looked at together; the tile of a small object has a multiple of `STEP`, so that objects of like size
-share programs."""
+TILE = 4096
+"""Pixels that are looked at together."""
 
 
 def predict(
@@ -36,12 +36,11 @@ def predict(
     lights = stereo.lights if lights is None else lights
     count, _, channels = stereo.weights.shape
     unit, strength = _checked(lights, channels, stereo.positions is not None)
-    length = min(TILE, -(-count // STEP) * STEP)
+    length = tile_length(count, TILE)
     radiance = np.empty((count, len(strength), channels), np.float32)
-    for begin in range(0, count, length):
-        part = slice(begin, min(begin + length, count))
-        normals, weights = (_filled(array[part], length) for array in (stereo.normals, stereo.weights))
-        positions = None if stereo.positions is None else _filled(stereo.positions[part].astype(np.float32), length)
+    for part in slices(count, length):
+        normals, weights = (filled(array[part], length) for array in (stereo.normals, stereo.weights))
+        positions = None if stereo.positions is None else filled(stereo.positions[part].astype(np.float32), length)
         tile = _tile(stereo.brdf, unit, stereo.camera, normals, weights, positions)
         radiance[part] = np.asarray(tile)[: part.stop - part.start] * strength
     if stray and stereo.stray:
@@ -74,7 +73,3 @@ def _checked(lights: AbstractLighting, channels: int, placed: bool) -> tuple[Lig
     if strength.shape[1] not in (1, channels):
         raise ValueError(f"lights must have 1 channel or {channels}, as the weights have, got {strength.shape[1]}")
     return with_strengths(lights, np.ones((len(strength), 1))), strength
-
-
-def _filled(array: np.ndarray, length: int) -> Array:
-    return jnp.asarray(np.pad(array, ((0, length - len(array)), *((0, 0),) * (array.ndim - 1))))

@@ -11,6 +11,7 @@ import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int
 from hshjax.stereo._chart import from_chart
+from hshjax.stereo._corners import numbers
 from hshjax.stereo._misfit import misfit
 from hshjax.stereo._shading import ShadingTable
 
@@ -23,8 +24,7 @@ TURN = 0.5
 
 def neighbours(mask: Bool[np.ndarray, "rows columns"], distance: int = 1) -> Int[np.ndarray, "pixels 8"]:
     """Numbers of the eight neighbours of every pixel of a mask, row by row, at a distance; -1 where there is none."""
-    number = np.full(np.add(mask.shape, 2 * distance), -1, np.int32)
-    number[distance:-distance, distance:-distance][mask] = np.arange(mask.sum(), dtype=np.int32)
+    number = numbers(np.pad(mask, distance)).astype(np.int32)
     row, column = np.nonzero(mask)
     steps = [(i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1)]
     return np.stack([number[row + distance * i, column + distance * j] for i, j in steps], axis=1)

@@ -37,13 +37,13 @@ from hshjax.stereo._joint import (
     slopes_at,
     whitening,
 )
-from hshjax.stereo._learn import BEST, START, STIFFNESS
+from hshjax.stereo._learn import START, STIFFNESS, fits_best
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._refine import weigh
 from hshjax.stereo._rendered import Rendered
 from hshjax.stereo._result import Stereo
 from hshjax.stereo._stages import finish
-from hshjax.stereo._strength import strengths, with_strengths
+from hshjax.stereo._strength import brighter
 from hshjax.stereo._trust import CUT, biweight, initial_trust, residual_scale
 from hshjax.stereo._turned import tangents
 
@@ -128,8 +128,7 @@ def refine_jointly(
     found = Rendered(model, observations.geometry.towards(everywhere).astype(dtype), jnp.ones(photographs.count, dtype))
     if found.columns != stereo.weights.shape[1]:
         raise ValueError(f"the BRDF has {found.columns} channels, the result {stereo.weights.shape[1]} materials")
-    mask = False if brdf is False else amplitudes(model) if brdf is True else chosen(model, brdf)
-    material = Material.of(model, jax.tree.map(lambda _: False, model) if mask is False else mask)
+    material = Material.of(model, amplitudes(model) if brdf is True else chosen(model, brdf) if brdf else False)
     if not (normals or lights or material.start.size):
         raise ValueError("nothing is to be refined: the BRDF is linear in none of its numbers; pick parts with brdf=")
     solver = optx.LBFGS(rtol=SETTLED, atol=STILL) if solver is None else solver
@@ -196,8 +195,7 @@ class _Problem(NamedTuple):
         for _ in range(START):  # the weights, too, are to be those of the robust loss
             residual = _left(found, values, plain * biweight(residual, residual_scale(residual, plain > 0)))
         if best:
-            misfit = jnp.mean(jnp.minimum(plain * jnp.abs(residual), 0.3), axis=1)
-            kept = np.flatnonzero(np.asarray(misfit <= jnp.quantile(misfit, BEST)))
+            kept = np.flatnonzero(np.asarray(fits_best(plain, residual)))
             values, plain, pq, residual = (array[kept] for array in (values, plain, pq, residual))
         scale = residual_scale(residual, plain > 0)
         if noise is None:
@@ -348,7 +346,7 @@ def _loss(problem, prior, terms, state, residual) -> float:
 
 def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np.ndarray, "pixels 2"]:
     """Every normal, with all that is shared held."""
-    nothing = Material.of(shared.brdf, jax.tree.map(lambda _: False, shared.brdf))
+    nothing = Material.of(shared.brdf, False)
     dtype = shared.directions.dtype
     empty, still = jnp.zeros((0, 0), dtype), jnp.zeros((len(shared.directions), 3), dtype)
     found = np.empty_like(pq)
@@ -409,10 +407,11 @@ def _left(
 def _under(observations: Observations, state: _State) -> Observations:
     """Under the lights that were found, brighter and turned."""
     given, gains = observations.lights, np.asarray(state.gains - jnp.median(state.gains), float)
-    brighter = with_strengths(given, strengths(given) * np.exp(gains)[:, None])
     world = observations.geometry.world(np.asarray(state.directions, float), slice(None))
     turned = eqx.tree_at(
-        lambda lights: lights.direction, brighter, replace_fn=lambda old: jnp.asarray(world, old.dtype)
+        lambda lights: lights.direction,
+        brighter(given, np.exp(gains)),
+        replace_fn=lambda old: jnp.asarray(world, old.dtype),
     )
     return Observations(replace(observations.photographs, lights=turned))
 

@@ -14,7 +14,7 @@ from hshjax.stereo._calibrated import solve_calibrated
 from hshjax.stereo._intensity import band_gains, diffuse_maxima, light_colours
 from hshjax.stereo._observe import Observations, geometry_of, grey
 from hshjax.stereo._result import Stereo
-from hshjax.stereo._strength import with_strengths
+from hshjax.stereo._strength import brighter, with_strengths
 
 SOME = 5000
 """Pixels that intensities are begun from."""
@@ -51,7 +51,7 @@ def with_intensities(photographs: Photographs, seed: int) -> Photographs:
     values = np.asarray(photographs.values[some], np.float32) / geometry_of(even).irradiance(some)
     observations = Observations(replace(even, lights=with_strengths(lights, intensities(values))))
     gains = band_gains(observations.pixels(some), observations.geometry.towards(some))
-    return observations.brighter(np.exp(gains)).photographs
+    return replace(observations.photographs, lights=brighter(observations.lights, np.exp(gains)))
 
 
 def intensities(values: Float[np.ndarray, "pixels lights channels"]) -> Float[np.ndarray, "lights channels"]:

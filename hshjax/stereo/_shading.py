@@ -101,17 +101,14 @@ class FarTable(ShadingTable):
 
     def at(self, pq: Float[Array, "n 2"]) -> Float[Array, "n columns lights"]:
         corners, u, v = self._cell(pq)
-        return lerp(lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v), u)
+        return bilinear(corners, u, v)
 
     def with_slope(
         self, pq: Float[Array, "n 2"]
     ) -> tuple[Float[Array, "n columns lights"], Float[Array, "n 2 columns lights"]]:
         corners, u, v = self._cell(pq)
-        left, right = lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v)
-        along_p = right - left
-        along_q = lerp(corners[1] - corners[0], corners[3] - corners[2], u)
-        cells = (self.size - 1) / 2
-        return lerp(left, right, u), jnp.stack([along_p, along_q], axis=1) * cells
+        slopes = jnp.stack(bilinear_slopes(corners, u, v), axis=1) * ((self.size - 1) / 2)
+        return bilinear(corners, u, v), slopes
 
     def mixed(self, coefficients: Float[Array, "materials columns"]) -> "FarTable":
         values = matmul(coefficients, self.rows()).reshape(coefficients.shape[0], self.values.shape[0], -1)
@@ -132,6 +129,17 @@ class FarTable(ShadingTable):
 def lerp(a: Array, b: Array, share: Array) -> Array:
     """a where the share is 0, b where it is 1."""
     return a + share * (b - a)
+
+
+def bilinear(corners: list[Array], u: Array, v: Array) -> Array:
+    """Between the corners (0, 0), (0, 1), (1, 0), (1, 1) of a cell, at (u, v) in it."""
+    return lerp(lerp(corners[0], corners[1], v), lerp(corners[2], corners[3], v), u)
+
+
+def bilinear_slopes(corners: list[Array], u: Array, v: Array) -> tuple[Array, Array]:
+    """The derivatives of `bilinear` in u and v."""
+    along_u = lerp(corners[2], corners[3], v) - lerp(corners[0], corners[1], v)
+    return along_u, lerp(corners[1] - corners[0], corners[3] - corners[2], u)
 
 
 @eqx.filter_jit

@@ -18,7 +18,7 @@ from hshjax.stereo._relief_energy import ReliefEnergy, State, Target, Weights
 from hshjax.stereo._relief_levels import dome, finer, levels
 from hshjax.stereo._relief_solve import nearest_minimum
 from hshjax.stereo._slope_shading import normals_of
-from hshjax.stereo._strength import strengths
+from hshjax.stereo._strength import strengths, unit_directions
 
 Start = Literal["smooth", "convex", "concave", "flat"]
 
@@ -216,11 +216,7 @@ def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[np.ndarray, np.
     if not isinstance(lights, DirectionalLight):
         kind = "none" if lights is None else type(lights).__name__
         raise ValueError(f"shape from shading needs known lights far away (DirectionalLight), got {kind}")
-    directions = np.asarray(lights.direction, float)
-    length = np.linalg.norm(directions, axis=1, keepdims=True)
-    if not np.all(np.isfinite(length) & (length > 0)):
-        raise ValueError("directions of lights must be finite and not zero")
-    directions = directions / length @ axes.T
+    directions = unit_directions(lights) @ axes.T
     if not np.all(directions[:, 2] > 0):
         raise ValueError(f"lights must be on the camera's side of the object, z > 0, got {directions[:, 2].min()}")
     irradiance = strengths(lights).astype(float)

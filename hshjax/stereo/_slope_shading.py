@@ -11,6 +11,7 @@ from hshjax._typing import Array, Float
 from hshjax.brdfs import AbstractBRDF
 from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
+from hshjax.stereo._tiles import filled, slices
 
 SMALL, TILE = 512, 4096
 """Pixels that are looked at together: two programs serve all sizes."""
@@ -31,11 +32,9 @@ def slope_shading(
     count = len(slopes)
     length = SMALL if count <= SMALL else TILE
     tiles = []
-    for begin in range(0, count, length):
-        tile = slopes[begin : begin + length]
-        filled = jnp.asarray(np.pad(tile, ((0, length - len(tile)), (0, 0))))
-        found = _tile(brdf, jnp.asarray(directions), filled)
-        tiles.append([np.moveaxis(np.asarray(array, float), 0, 1)[: len(tile)] for array in found])
+    for part in slices(count, length):
+        found = _tile(brdf, jnp.asarray(directions), filled(slopes[part], length))
+        tiles.append([np.moveaxis(np.asarray(array, float), 0, 1)[: part.stop - part.start] for array in found])
     return Shading(*(np.concatenate(parts) for parts in zip(*tiles, strict=True)))
 
 
