@@ -1,5 +1,9 @@
 """The `hshjax` command: what it prints, what it keeps, what it refuses."""
 
+import json
+
+import jax.numpy as jnp
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -7,7 +11,8 @@ from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import CookTorrance, ExpBRDF, OrenNayar
 from hshjax.cli import app
 from hshjax.fitting import project
-from hshjax.io import load_model, save_model
+from hshjax.io import exr_channels, load_model, read_exr, save_model, write_exr
+from hshjax.metrics import albedo
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 from tests.helpers import X64, slow_unless
@@ -39,7 +44,7 @@ def test_a_model_is_described_and_fitted_again(model, tmp_path):
         assert what in described.output
     before = model.read_bytes()
     refused = run("fit", model, "--order", 1, "--degree", 8)
-    assert refused.exit_code == 2
+    assert refused.exit_code == 1
     assert "--out" in refused.stderr
     assert model.read_bytes() == before
     out = tmp_path / "out.hshjax"
@@ -78,9 +83,6 @@ def test_a_valid_fit_shows_its_certificate(model, tmp_path):
     fitted = run("fit", model, "--valid", "--norm", "A", "--order", 1, "--degree", 8, "--out", out)
     assert fitted.exit_code == 0, fitted.output + fitted.stderr
     assert "holds: smallest value" in fitted.output
-    refused = run("fit", model, "--valid", "--model", "ggx", "--out", out)
-    assert refused.exit_code == 2
-    assert "--valid is for the linear model" in refused.stderr
 
 
 def test_errors_are_sentences(model, tmp_path):
@@ -90,10 +92,166 @@ def test_errors_are_sentences(model, tmp_path):
         (("info", tmp_path / "text.bsdf"), "text.bsdf: "),
         (("fit", model, "--out", tmp_path / "no" / "where.hshjax"), "there is no folder"),
         (("fit", model, "--out", tmp_path / "a", "--order", 8, "--degree", 2, "--ridge", 0), "unknowns"),
+        (("fit", model, "--out", tmp_path / "text.bsdf"), "takes a folder"),
+        (("compare", model, tmp_path / "text.bsdf"), "text.bsdf: "),
+        (("render", model, "--out", tmp_path / "no" / "x.png"), "there is no folder"),
+        (("render", model, "--light", tmp_path / "absent.exr", "--out", tmp_path / "x.png"), "No such file"),
+        (("render", model, "--mesh", tmp_path / "text.bsdf", "--out", tmp_path / "x.png"), "suffix"),
+        (("convert", tmp_path / "text.bsdf", tmp_path / "a.hshjax"), "text.bsdf: "),
     ):
         result = run(*arguments)
-        assert result.exit_code == 2, result.output
+        assert result.exit_code == 1, result.output
         assert result.stderr.startswith("error:")
         assert message in result.stderr.replace("\n", " ")
         assert isinstance(result.exception, SystemExit)
-    assert not (tmp_path / "a").exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"runs[old]", "text.bsdf"}
+
+
+def test_misuse_is_told_from_bad_input(model, tmp_path):
+    for arguments, message in (
+        (("fit", model, "--norm", "F"), "--norm"),
+        (("fit",), "file"),
+        (("fit", model, "--valid", "--model", "ggx"), "--valid is for the linear model"),
+        (("render", model, "--out", tmp_path / "x.jpg"), ".exr or .png"),
+        (("render", model, "--light", "1,2", "--out", tmp_path / "x.png"), "three numbers"),
+        (("render", model, "--light", "0,0,0", "--out", tmp_path / "x.png"), "not all 0"),
+        (("render", model, "--light", "nan,0,1", "--out", tmp_path / "x.png"), "three numbers"),
+        (("render", model, "--exposure", "-1", "--out", tmp_path / "x.png"), "above 0"),
+        (("convert", model, tmp_path / "x.tiff"), ".glsl"),
+        (("convert", model, tmp_path / "x.glsl", "--to", "tiff"), ".glsl"),
+        (("stereo", tmp_path, "--out", tmp_path / "o", "--lights", "some"), "--lights"),
+    ):
+        result = run(*arguments)
+        assert result.exit_code == 2, (arguments, result.output)
+        assert message in result.stderr.replace("\n", " "), (arguments, result.stderr)
+    assert [path.name for path in tmp_path.iterdir()] == ["runs[old]"]
+
+
+def results(tmp_path, model, out):
+    """Commands that write `out`, small."""
+    small = ("--order", 1, "--degree", 8)
+    return {
+        "model": ("fit", model, *small, "--out", out("a.hshjax")),
+        "folder": ("fit", model, *small, "--out", out("folder")),
+        "spheres": ("fit", model, *small, "--out", tmp_path / "spheres.hshjax", "--picture", out("b.png")),
+        "compare": ("compare", model, model, "--degree", 8, "--picture", out("c.png")),
+        "render": ("render", model, "--size", 16, "--out", out("d.png")),
+        "exr": ("render", model, "--size", 16, "--out", out("e.exr")),
+        "convert": ("convert", model, out("f.hshjax")),
+    }
+
+
+@pytest.mark.parametrize("case", ["model", "folder", "spheres", "compare", "render", "exr", "convert"])
+def test_results_are_replaced_by_force_alone(model, tmp_path, case):
+    """Everything that is written, wherever it is: what was there stays, byte by byte, until --force says otherwise."""
+    written = []
+
+    def out(name):
+        written.append(tmp_path / name)
+        return written[-1]
+
+    command = results(tmp_path, model, out)[case]
+    (target,) = [path for path in written if path in command]
+    if case == "folder":
+        target.mkdir()
+        (target / "metrics.json").write_text("mine")
+        (target / "notes.txt").write_text("mine too")
+    else:
+        target.write_text("mine")
+    kept = sorted(path for path in tmp_path.rglob("*"))
+    refused = run(*command)
+    assert refused.exit_code == 1
+    assert "--force" in refused.stderr
+    assert sorted(path for path in tmp_path.rglob("*")) == kept
+    assert (target / "metrics.json" if case == "folder" else target).read_text() == "mine"
+    done = run(*command, "--force")
+    assert done.exit_code == 0, done.output + done.stderr
+    if case == "folder":
+        assert {path.name for path in target.iterdir()} == {"metrics.json", "model.hshjax", "notes.txt", "spheres.png"}
+        assert (target / "notes.txt").read_text() == "mine too"
+        assert json.loads((target / "metrics.json").read_text())["coefficients"] == [4, 1]
+    else:
+        assert target.read_bytes() != b"mine"
+    assert not list(tmp_path.rglob("*.partial"))
+
+
+def test_json_is_all_there_is_on_standard_output(model, tmp_path):
+    def out(name):
+        return tmp_path / name
+
+    cases = {name: command for name, command in results(tmp_path, model, out).items() if name != "exr"}
+    cases["info"] = ("info", model)
+    for name, command in cases.items():
+        done = run(*command, "--json")
+        assert done.exit_code == 0, (name, done.output + done.stderr)
+        assert isinstance(json.loads(done.stdout), dict)
+    metrics = json.loads((tmp_path / "folder" / "metrics.json").read_text())
+    assert metrics == json.loads(run(*cases["folder"], "--force", "--json").stdout)
+
+
+@pytest.mark.parametrize("case", ["model", "folder", "compare", "render", "convert"])
+@pytest.mark.parametrize(
+    ("raised", "status", "message"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted"),
+        (MemoryError(), 1, "more memory"),
+        (RuntimeError("RESOURCE_EXHAUSTED: out of memory"), 1, "out of memory"),
+        (OSError("no space left"), 1, "no space"),
+    ],
+    ids=["interrupt", "memory", "device", "disk"],
+)
+def test_an_end_in_the_middle_leaves_nothing(model, tmp_path, monkeypatch, case, raised, status, message):
+    """Whatever stops a command while it writes: one sentence, no traceback, no half of a file."""
+
+    def half(path, *arguments, **options):
+        with open(path, "wb") as file:
+            file.write(b"half")
+        raise raised
+
+    for name in ("matplotlib.image.imsave", "hshjax.io.save_model", "hshjax.io.write_material.save_model"):
+        monkeypatch.setattr(name, half_of(half, name))
+    before = sorted(tmp_path.rglob("*"))
+    done = run(*results(tmp_path, model, lambda name: tmp_path / name)[case])
+    assert done.exit_code == status, done.output
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def half_of(half, name):
+    """Writers that replace by themselves are interrupted within that."""
+    from hshjax.io._replace import replacing
+
+    def write(path, *arguments, **options):
+        with replacing(path) as beside:
+            half(beside)
+
+    return half if name.startswith("matplotlib") else write
+
+
+def test_a_fault_of_the_program_shows_where_it_is(model, monkeypatch):
+    def broken(*arguments, **options):
+        raise TypeError("a fault")
+
+    monkeypatch.setattr("hshjax.io.read_material", broken)
+    assert isinstance(run("info", model).exception, TypeError)
+
+
+def test_pictures_hold_what_reflects(model, tmp_path):
+    """Under light from everywhere, the radiance is the albedo; an EXR has it, with alpha."""
+    brdf = load_model(model)
+    done = run("render", model, "--light", "furnace", "--size", 32, "--out", tmp_path / "x.exr", "--json")
+    assert done.exit_code == 0, done.output + done.stderr
+    assert exr_channels(tmp_path / "x.exr") == ("A", "Y")
+    alpha, image = np.moveaxis(read_exr(tmp_path / "x.exr"), -1, 0)
+    middle = float(albedo(brdf, jnp.asarray([0.0, 0.0, 1.0]))[0])
+    np.testing.assert_allclose(image[15:17, 15:17], middle, rtol=5e-3)  # pixels of 1/16 of the sphere about the pole
+    assert alpha[0, 0] == 0 == image[0, 0]
+    assert alpha[16, 16] == 1
+    # A map of radiance 2 all over is a furnace twice as bright; it is estimated.
+    write_exr(tmp_path / "sky.exr", np.full((16, 32, 3), 2.0, np.float32))
+    done = run("render", model, "--light", tmp_path / "sky.exr", "--size", 32, "--out", tmp_path / "y.exr", "--json")
+    assert done.exit_code == 0, done.output + done.stderr
+    figures = json.loads(done.stdout)
+    assert 0 < figures["noise"] < 0.1
+    np.testing.assert_allclose(figures["mean_radiance"], 2 * image[alpha > 0].mean(), rtol=0.02)

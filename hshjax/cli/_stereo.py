@@ -1,9 +1,6 @@
 """`hshjax stereo`: from photographs to normals, materials, a mesh and a report."""
 
 import inspect
-import os
-import secrets
-import shutil
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,12 +10,13 @@ from typing import Annotated, Any, Literal
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from hshjax.cli._console import Text, complaints, console, failure, typer
+from hshjax.cli._console import Misuse, Text, complaints, console, failure, guarded, typer
 
 SOLVERS = {"known": "solve_calibrated", "unknown-intensities": "solve_semi_calibrated", "unknown": "solve_uncalibrated"}
 """What is known of the lights, and the function of `hshjax.stereo` for it."""
 
 
+@guarded
 def stereo(
     path: Annotated[
         Path,
@@ -107,6 +105,7 @@ def stereo(
     from hshjax.cli._stereo_metrics import Solved
     from hshjax.cli._stereo_report import write_report
     from hshjax.io import read_photographs
+    from hshjax.io._replace import replacing_folder
 
     _check_paths(path, out, force)
     chosen = {"rounds": rounds, "sweeps": sweeps}
@@ -115,21 +114,18 @@ def stereo(
         "seed": seed,
         **{key: value for key, value in chosen.items() if value is not None},
     }
-    try:
-        solve = _solver(lights, options)
-        photographs = read_photographs(path, encoding=encoding, saturated=saturated, near=near)
-        if photographs.lights is None and lights != "unknown":
-            raise ValueError(f"{path}: nothing is known of the lights; give a light file (*.lp), or --lights unknown")
-        given = with_camera(_hidden(photographs, lights), image_height, field_of_view)
-        begin = time.perf_counter()
-        with _display() as progress:
-            found = solve(given, progress=progress, **options)
-        solved = Solved.of(photographs, found, lights, time.perf_counter() - begin)
-        with complaints.status("writing"), _folder(out) as beside:
-            write_files(beside, solved, convention)
-            write_report(beside / "report.html", solved, path.absolute().name, {**options, "lights": lights})
-    except (OSError, ValueError, ImportError, RuntimeError) as error:
-        raise failure(str(error)) from error
+    solve = _solver(lights, options)
+    photographs = read_photographs(path, encoding=encoding, saturated=saturated, near=near)
+    if photographs.lights is None and lights != "unknown":
+        raise ValueError(f"{path}: nothing is known of the lights; give a light file (*.lp), or --lights unknown")
+    given = with_camera(_hidden(photographs, lights), image_height, field_of_view)
+    begin = time.perf_counter()
+    with _display() as progress:
+        found = solve(given, progress=progress, **options)
+    solved = Solved.of(photographs, found, lights, time.perf_counter() - begin)
+    with complaints.status("writing"), replacing_folder(out) as beside:
+        write_files(beside, solved, convention)
+        write_report(beside / "report.html", solved, path.absolute().name, {**options, "lights": lights})
     if as_json:
         typer.echo((out / "metrics.json").read_text(encoding="utf-8"), nl=False)
         return
@@ -155,17 +151,17 @@ def _check_paths(path: Path, out: Path, force: bool) -> None:
 
 
 def _solver(lights: str, options: dict[str, Any]) -> Callable:
-    """The solver for what is known of the lights; ValueError where this version has none or it has no such option."""
+    """The solver for what is known of the lights; Misuse where this version has none or it has no such option."""
     import hshjax.stereo
 
     solve = getattr(hshjax.stereo, SOLVERS[lights], None)
     if solve is None:
-        raise ValueError(f"--lights {lights} needs hshjax.stereo.{SOLVERS[lights]}, which this version does not have")
+        raise Misuse(f"--lights {lights} needs hshjax.stereo.{SOLVERS[lights]}, which this version does not have")
     parameters = inspect.signature(solve).parameters
     handed_on = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     for name in options:
         if name not in parameters and not handed_on:  # else to solve_calibrated, which has them all
-            raise ValueError(f"--{name} means nothing with --lights {lights}")
+            raise Misuse(f"--{name} means nothing with --lights {lights}")
     return solve
 
 
@@ -186,26 +182,6 @@ def _hidden(photographs, lights: str):
     if lights == "unknown-intensities" and isinstance(photographs.lights, PointLight):
         return dataclasses.replace(photographs, lights=jax.vmap(PointLight)(photographs.lights.position, ones))
     return photographs
-
-
-@contextmanager
-def _folder(out: Path) -> Iterator[Path]:
-    """A fresh folder beside `out`, renamed to it at the end; removed where the body raises or is interrupted.
-
-    Where `out` has files, those of the same names are replaced, one by one.
-    """
-    out = out.resolve()
-    beside = out.with_name(f".{out.name}.{secrets.token_hex(6)}.partial")
-    beside.mkdir()
-    try:
-        yield beside
-        if out.is_dir() and any(out.iterdir()):
-            for file in sorted(beside.iterdir()):
-                os.replace(file, out / file.name)
-        else:
-            os.replace(beside, out)
-    finally:
-        shutil.rmtree(beside, ignore_errors=not beside.exists())
 
 
 @contextmanager

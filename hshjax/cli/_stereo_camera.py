@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax.camera import OrthographicCamera, PerspectiveCamera
+from hshjax.cli._console import Misuse
 from hshjax.lighting import PointLight
 from hshjax.photographs import Photographs
 
@@ -15,18 +16,18 @@ def with_camera(photographs: Photographs, height: float | None, field_of_view: f
 
     - `height`: of the image there, in the unit of the scene. - `field_of_view`: vertical [degrees]; None: far away.
 
-    **Raises:** ValueError for values out of range, lights nearby without a height, and a height that nothing asks for.
+    **Raises:** Misuse for values out of range, lights nearby without a height, and a height that nothing asks for.
     """
     if height is not None and not (np.isfinite(height) and height > 0):
-        raise ValueError(f"--image-height must be a finite number above 0, got {height}")
+        raise Misuse(f"--image-height must be a finite number above 0, got {height}")
     if field_of_view is not None and not 0 < field_of_view < 180:
-        raise ValueError(f"--field-of-view must be above 0 and below 180 degrees, got {field_of_view}")
+        raise Misuse(f"--field-of-view must be above 0 and below 180 degrees, got {field_of_view}")
     near = isinstance(photographs.lights, PointLight)
     if near and height is None:
-        raise ValueError("lights nearby want --image-height, in the unit of their positions, to know where pixels are")
+        raise Misuse("lights nearby want --image-height, in the unit of their positions, to know where pixels are")
     if not near and field_of_view is None:
         if height is not None:
-            raise ValueError("--image-height means nothing where lights and camera are far away")
+            raise Misuse("--image-height means nothing where lights and camera are far away")
         return photographs
     resolution = photographs.mask.shape
     height = float(resolution[0]) if height is None else height

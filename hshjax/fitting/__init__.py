@@ -13,6 +13,7 @@ from hshjax.fitting._compact_posterior import (
     Suggestion as Suggestion,
     Trial as Trial,
 )
+from hshjax.fitting._compare import Comparison as Comparison, compare as compare
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._infer_compact import infer_compact as infer_compact
@@ -25,6 +26,11 @@ from hshjax.fitting._mappings import (
     Identity as Identity,
     LogCosineWeighted as LogCosineWeighted,
     LogRelative as LogRelative,
+)
+from hshjax.fitting._material import (
+    MaterialFit as MaterialFit,
+    MaterialModel as MaterialModel,
+    fit_material as fit_material,
 )
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
 from hshjax.fitting._multi_start import multi_start as multi_start

@@ -1,5 +1,6 @@
 """Files: measured materials, photographs, normals, images, models. One file a format."""
 
+from hshjax.io.coverage import Coverage as Coverage, coverage as coverage
 from hshjax.io.diligent import read_diligent as read_diligent
 from hshjax.io.errors import FileFormatError as FileFormatError
 from hshjax.io.exr import exr_channels as exr_channels, read_exr as read_exr, write_exr as write_exr
@@ -13,5 +14,13 @@ from hshjax.io.photograph_layers import read_photograph_layers as read_photograp
 from hshjax.io.photographs import read_photographs as read_photographs
 from hshjax.io.photographs_npz import read_photographs_npz as read_photographs_npz
 from hshjax.io.ply import write_ply as write_ply
+from hshjax.io.read_material import Material as Material, read_material as read_material
+from hshjax.io.read_measured import (
+    FORMATS as FORMATS,
+    measured_format as measured_format,
+    read_measured as read_measured,
+    read_samples as read_samples,
+)
+from hshjax.io.read_mesh import read_mesh as read_mesh
 from hshjax.io.rgl import read_rgl as read_rgl
 from hshjax.io.tensor_file import read_tensor_file as read_tensor_file

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hshjax.io import exr
+from hshjax.io._expansion import check_expansion
 from hshjax.io.errors import FileFormatError
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
@@ -97,6 +98,7 @@ def _decoded(path: Path, content: bytes) -> np.ndarray:
 
     if content.startswith(PNG_MAGIC):
         decode = imagecodecs.png_decode
+        _check_png(path, content)
     elif content.startswith(JPEG_MAGIC):
         decode = _jpeg
     else:
@@ -106,6 +108,15 @@ def _decoded(path: Path, content: bytes) -> np.ndarray:
         return decode(content)
     except (RuntimeError, ValueError, OSError, MemoryError, OverflowError, SyntaxError) as error:
         raise FileFormatError(path, "pixels", "an intact image", f"an error of the library: {error}") from error
+
+
+def _check_png(path: Path, content: bytes) -> None:
+    """That pixels of the size that the header declares are worth unpacking (PNG specification, section 11.2.2)."""
+    if len(content) < 26 or content[12:16] != b"IHDR":
+        raise FileFormatError(path, "byte 8", "the header of a PNG image", repr(content[8:26]))
+    columns, rows, bits, kind = struct.unpack_from(">IIBB", content, 16)
+    channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}.get(kind, 4)  # a palette of colours is looked up
+    check_expansion(path, "header", columns * rows * channels * max(1, bits // 8), len(content))
 
 
 def _jpeg(content: bytes) -> np.ndarray:

@@ -1,5 +1,6 @@
 """OpenEXR images, through the OpenEXR library: one part, half or float channels."""
 
+import os
 from collections.abc import Sequence
 from os import PathLike, fspath
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hshjax.io._expansion import check_expansion
 from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
@@ -108,16 +110,27 @@ def _ordered(names) -> tuple[str, ...]:
     return colour if names in ({*"RGB"}, {*"RGBA"}) else tuple(sorted(names))
 
 
+def _check_size(path: str | PathLike, stored: int) -> None:
+    """That the pixels which the header declares are worth unpacking; what else is wrong with it comes later."""
+    header = _part(path, header_only=True).header
+    low, high = (np.asarray(corner, np.int64) for corner in header["dataWindow"])
+    columns, rows = (int(n) for n in high - low + 1)
+    expanded = rows * columns * len(header["channels"]) * 4 if min(rows, columns) > 0 else 0
+    check_expansion(path, "header, dataWindow", expanded, stored)
+
+
 def _part(path: str | PathLike, *, header_only: bool) -> Any:
     """The only part of an image."""
     import OpenEXR
 
     with Path(path).open("rb") as file:
-        magic = file.read(len(MAGIC))
+        magic, size = file.read(len(MAGIC)), os.fstat(file.fileno()).st_size
     if magic != MAGIC:
         raise FileFormatError(
             path, "byte 0", f"an OpenEXR file, beginning with {MAGIC!r}", repr(magic) if magic else "an empty file"
         )
+    if not header_only:
+        _check_size(path, size)
     try:
         # The library prints a warning about damaged pixels and then leaves their part out.
         parts = OpenEXR.File(fspath(path), separate_channels=True, header_only=header_only).parts

@@ -1,11 +1,13 @@
 """Photographs in one numpy archive (.npz), without pickle."""
 
+import os
 import zipfile
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from hshjax.io._expansion import check_expansion
 from hshjax.io._photographs import Encoding, Saturated, assemble, check_options, make_lights
 from hshjax.io.errors import FileFormatError
 from hshjax.photographs import Photographs
@@ -38,6 +40,11 @@ def read_photographs_npz(
             archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise FileFormatError(path, "byte 0", "an archive of arrays (.npz)", "one array")
+            assert archive.zip is not None  # it is open
+            members = archive.zip.infolist()  # numpy reads no more of a member than is declared there
+            for one in members:
+                check_expansion(path, f"archive, {one.filename!r}", one.file_size, one.compress_size)
+            check_expansion(path, "archive", sum(one.file_size for one in members), os.fstat(file.fileno()).st_size)
             others = [key for key in archive.files if key not in KEYS]
             arrays = {key: archive[key] for key in KEYS if key in archive.files}
         except FileFormatError:

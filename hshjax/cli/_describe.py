@@ -1,0 +1,108 @@
+"""What there is to say of a material: of the file, of its angles, of the BRDF."""
+
+from typing import Any
+
+from hshjax.cli._console import Figures
+
+ANGLES = (0.0, 45.0, 75.0)
+"""Of incidence [degrees]."""
+
+
+def describe_file(figures: Figures, found: Any) -> None:
+    """What the reader of a measured file found, its `Findings`."""
+    figures.add("format", found.format)
+    figures.add("material", found.material, words=found.material or "not declared")
+    figures.add("channels", found.channel_names)
+    figures.add("units", found.units)
+    figures.add("entries", found.entries, label="pairs of directions")
+    for key, why in (("dropped", found.dropped), ("masked", found.masked)):
+        counts = "; ".join(f"{count}: {reason}" for reason, count in why.items())
+        figures.add(key, dict(why), words=counts or "none")
+    figures.add(
+        "invalid_share", found.invalid_share, label="share that does not count", words=f"{found.invalid_share:.2%}"
+    )
+    figures.add("negative", found.negative, label="with a negative value")
+    figures.add("notes", found.notes, label="decisions", words="\n".join(found.notes) or "none")
+
+
+def describe_coverage(figures: Figures, found: Any) -> None:
+    """The angles of samples, a `Coverage`."""
+    lows = f"{found.theta_i[0]:.4g} to {found.theta_i[1]:.4g} degrees, {found.incidences} of them"
+    figures.add("theta_i_degrees", found.theta_i, label="incidences", words=lows)
+    figures.add("incidences", found.incidences, label="number of incidences")
+    low, high = found.theta_o
+    figures.add("theta_o_degrees", found.theta_o, label="outgoing angles", words=f"{low:.4g} to {high:.4g} degrees")
+    if found.azimuths is None or found.azimuth_span is None:
+        words = "none: all at the normal"
+    else:
+        words = "{:.4g} to {:.4g} degrees from that of incidence, over {:.4g} degrees in all".format(
+            *found.azimuths, found.azimuth_span
+        )
+    figures.add("azimuths_degrees", found.azimuths, label="azimuths", words=words)
+    figures.add("azimuth_span_degrees", found.azimuth_span, label="azimuth span")
+
+
+def describe_model(figures: Figures, brdf: Any) -> None:
+    """Class and numbers of a BRDF, without evaluating it."""
+    from hshjax.brdfs import AbstractPositiveBRDF, LinearBRDF, LogLinearBRDF
+
+    figures.add("kind", type(brdf).__name__)
+    if isinstance(brdf, LogLinearBRDF):
+        _series(figures, brdf)
+    if isinstance(brdf, LinearBRDF | AbstractPositiveBRDF):
+        figures.add("basis", str(brdf.basis))
+        shape = brdf.coefficients.shape
+        figures.add("coefficients", shape, words=" x ".join(map(str, shape)))
+    if isinstance(brdf, LinearBRDF):
+        figures.add("target", brdf.target, label="the series stands for")
+
+
+def _series(figures: Figures, brdf: Any) -> None:
+    from hshjax.bases import AnisotropicHalfVectorBasis, HalfVectorBasis
+    from hshjax.bases._warp import AbstractScaledWarp
+
+    parts = [int((brdf.terms[:, 1] == j).sum()) for j in range(brdf.mixing.shape[0])]
+    words = f"{brdf.count}: {' + '.join(map(str, parts))}, of {brdf.basis.count} functions each"
+    figures.add("coefficients", brdf.count, words=words)
+    if isinstance(brdf.basis, HalfVectorBasis | AnisotropicHalfVectorBasis):
+        warps = {"warp": brdf.basis.warp, "difference_warp": brdf.basis.difference_warp}
+        for name, warp in warps.items():
+            if isinstance(warp, AbstractScaledWarp):
+                alpha = float(warp.alpha)
+                label = f"scale of the {name.replace('_', ' ')}"
+                figures.add(f"{name}_scale", alpha, label, f"{alpha:.3g} ({type(warp).__name__})")
+
+
+def describe_energy(figures: Figures, brdf: Any) -> None:
+    """Albedos, the smallest value and the negative share: takes an evaluation of the BRDF in many directions."""
+    import jax.numpy as jnp
+
+    from hshjax.geometry import direction
+    from hshjax.metrics import albedo, hemispherical_albedo, negativity
+    from hshjax.quadrature import hemisphere_rule, isotropic_pair_rule
+
+    theta = jnp.deg2rad(jnp.asarray(ANGLES))
+    directional = albedo(brdf, direction(theta, jnp.zeros_like(theta)), hemisphere_rule(64))
+    figures.add(
+        "albedo", {f"{angle:g}": row for angle, row in zip(ANGLES, directional, strict=True)},
+        "albedo at 0, 45, 75 degrees", "   ".join(numbers(row) for row in directional),
+    )  # fmt: skip
+    white = hemispherical_albedo(brdf, hemisphere_rule(32))
+    figures.add("hemispherical_albedo", white, words=numbers(white))
+    negative = negativity(brdf, isotropic_pair_rule(32))
+    smallest, share = float(negative.minimum), float(negative.share)
+    figures.add("smallest_value", smallest, words=f"{smallest:.3g} sr^-1")
+    figures.add("negative_share", share, "negative share of the energy", f"{share:.2g}")
+
+
+def describe_log_error(figures: Figures, error: Any) -> None:
+    """Mean |Δ ln(1 + ρ cos θ)| of two materials, per channel."""
+    figures.add("log_error", error, "error of ln(1 + ρ cos θ), up to 80 degrees", numbers(error))
+
+
+def numbers(values: Any) -> str:
+    """One number a channel, for people; of more than four channels their range."""
+    values = [float(v) for v in values]
+    if len(values) > 4:
+        return f"{min(values):.4f} to {max(values):.4f} in {len(values)} channels"
+    return " ".join(f"{v:.4f}" for v in values)

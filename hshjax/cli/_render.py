@@ -1,0 +1,184 @@
+"""`hshjax render`: a picture of a material on a sphere or a mesh."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from hshjax.cli._console import Figures, Misuse, check_targets, complaints, console, failure, guarded, typer
+from hshjax.cli._options import File, Force, Json
+
+MARGIN = 1.05
+"""Height of the image over that of what it shows."""
+
+
+@guarded
+def render(
+    file: File,
+    out: Annotated[Path, typer.Option(help="x.exr: linear radiance, in float32, with alpha; x.png: exposed, in sRGB.")],
+    light: Annotated[
+        str,
+        typer.Option(
+            help="x,y,z: towards a light far away that gives the irradiance 1, in the frame of the image (x right, y "
+            "up, z to the viewer). A file .exr: an environment map, up along y. furnace: 1 from everywhere, which "
+            "shows the albedo."
+        ),
+    ] = "-0.5,0.5,0.7",
+    mesh: Annotated[
+        Path | None, typer.Option(help="A mesh (.ply, .obj, .stl ...) in place of the sphere; seen along -z, y up.")
+    ] = None,
+    size: Annotated[int, typer.Option(min=1, max=8192, help="Rows and columns of the picture.")] = 256,
+    samples: Annotated[
+        int, typer.Option(min=2, help="Directions a pixel, under light from all around: noise falls with their root.")
+    ] = 256,
+    seed: Annotated[int, typer.Option(min=0, help="Of these directions.")] = 0,
+    exposure: Annotated[
+        float | None, typer.Option(help="Factor of the radiance in a PNG [default: makes nearly all of it fit].")
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """A picture of a material: on a sphere or a mesh, under a light, a map of surroundings, or in a furnace.
+
+    Scattered samples have no value between them: fit them first.
+
+    Examples:
+
+      hshjax render leather.hshjax --out leather.png
+
+      hshjax render leather_rgb.bsdf --light venice.exr --samples 1024 --out leather.exr
+
+      hshjax render leather.hshjax --light furnace --mesh bunny.ply --out albedo.png
+    """
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from hshjax import surface
+    from hshjax.camera import OrthographicCamera
+    from hshjax.io import read_material
+    from hshjax.reflectance import picture
+    from hshjax.samples import Samples
+
+    if out.suffix.lower() not in (".exr", ".png"):
+        raise Misuse(f"--out {out}: a picture ends in .exr or .png")
+    if exposure is not None and not (exposure > 0 and np.isfinite(exposure)):
+        raise Misuse(f"--exposure must be a finite number above 0, got {exposure}")
+    shining = _light(light)
+    check_targets(out, force=force, sources=(file,))
+    with complaints.status("reading"):
+        brdf, found = read_material(file)
+    if isinstance(brdf, Samples):
+        raise failure(f"{file}: scattered samples have no value between them; hshjax fit {file}, and render the model")
+    if mesh is None:
+        camera = OrthographicCamera((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), height=jnp.asarray(2 * MARGIN), resolution=(size, size))
+        seen = surface.sphere(camera)
+    else:
+        seen, camera = _mesh(mesh, size)
+    with _progress() as progress:
+        image = picture(brdf, shining, seen, camera, samples=samples, key=jax.random.key(seed), progress=progress)
+    figures = Figures()
+    figures.add("picture", str(out))
+    figures.add("pixels", int(np.isfinite(image.radiance[..., 0]).sum()), "pixels on the shape")
+    figures.add("mean_radiance", np.nanmean(image.radiance, axis=(0, 1)), "mean radiance [W m^-2 sr^-1]")
+    if image.deviation is not None:
+        noise = float(np.nanmean(image.deviation) / np.nanmean(np.abs(image.radiance)))
+        figures.add("noise", noise, "noise, of the mean", f"{noise:.2%}")
+    names = found.channel_names if found is not None else None
+    with complaints.status("writing"):
+        if out.suffix.lower() == ".exr":
+            _write_exr(out, image.radiance, names)
+        else:
+            figures.add("exposure", _write_png(out, image.radiance, exposure))
+    figures.show(f"{file.name} under {light}", as_json=as_json)
+    if not as_json:
+        console.print(f"picture: {out}", soft_wrap=True)
+
+
+def _light(text: str) -> Any:
+    """The light that an option names."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    from hshjax.io import read_exr
+    from hshjax.lighting import DirectionalLight, EnvironmentMap
+    from hshjax.reflectance import furnace
+
+    if text == "furnace":
+        return furnace()
+    if text.lower().endswith(".exr"):
+        image = read_exr(text)
+        if image.shape[-1] == 4:
+            image = image[..., :3]  # alpha is no light
+        if not np.isfinite(image).all():
+            raise failure(f"{text}: an environment map needs finite pixels, {np.sum(~np.isfinite(image))} are not")
+        return EnvironmentMap(jnp.asarray(image, float), up="y")
+    try:
+        direction = [float(part) for part in text.split(",")]
+    except ValueError:
+        direction = []
+    if len(direction) != 3 or not np.isfinite(direction).all() or not np.any(direction):
+        raise Misuse(f"--light {text}: three numbers x,y,z that are not all 0, a file .exr, or furnace")
+    return DirectionalLight(jnp.asarray(direction), jnp.ones(()))
+
+
+def _mesh(path: Path, size: int) -> tuple[Any, Any]:
+    """What a camera on +z sees of a mesh, all of it in the image."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    from hshjax import surface
+    from hshjax.camera import OrthographicCamera
+    from hshjax.io import read_mesh
+
+    vertices, faces = read_mesh(path)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    height = MARGIN * float(np.max((high - low)[:2]))
+    if not height > 0:
+        raise failure(f"{path}: seen along -z the mesh has no extent")
+    centre = tuple(float(c) for c in (low + high) / 2)
+    camera = OrthographicCamera((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), centre=centre, height=jnp.asarray(height), resolution=(size, size))
+    return surface.mesh(camera, vertices, faces), camera
+
+
+def _write_exr(path: Path, radiance: Any, names: tuple[str, ...] | None) -> None:
+    """Linear pixels, 0 off the shape; alpha 1 on it."""
+    import numpy as np
+
+    from hshjax.io import write_exr
+
+    channels = radiance.shape[-1]
+    if channels == 3:
+        names = ("R", "G", "B")
+    elif channels == 1:
+        names = ("Y",)
+    elif names is None:
+        names = tuple(f"channel {k + 1}" for k in range(channels))
+    alpha = np.isfinite(radiance[..., :1]).astype(float)
+    write_exr(path, np.concatenate([np.nan_to_num(radiance), alpha], axis=-1), (*names, "A"))
+
+
+def _write_png(path: Path, radiance: Any, exposure: float | None) -> float:
+    """Exposed pixels, white off the shape; the factor that was taken."""
+    from matplotlib.image import imsave
+
+    from hshjax import plotting
+    from hshjax.cli._fit import displayable
+    from hshjax.io._replace import replacing
+
+    image = displayable(radiance)
+    factor = plotting.exposure(image) if exposure is None else exposure
+    with replacing(path) as beside:
+        imsave(beside, plotting.display(image, factor), format="png")
+    return factor
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[int, int], None]]:
+    """A live line of blocks of pixels."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=complaints, transient=True) as bar:
+        task = bar.add_task("pixels", total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

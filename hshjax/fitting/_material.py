@@ -1,0 +1,124 @@
+"""One material, one call: the fits that the `hshjax` command offers, of tables and of scattered samples alike."""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple, get_args
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from hshjax._typing import PairFunction
+from hshjax.bases import HSH, AbstractPairBasis, IsotropicBasis
+from hshjax.brdfs import GGX, AbstractBRDF, CookTorrance, ExpBRDF, Lambert
+from hshjax.fitting._compact import CompactFit, fit_compact
+from hshjax.fitting._compact_posterior import CompactPosterior
+from hshjax.fitting._fit import fit
+from hshjax.fitting._guess import initial_guesses
+from hshjax.fitting._infer_compact import infer_compact
+from hshjax.fitting._mappings import CosineWeighted
+from hshjax.fitting._multi_start import multi_start
+from hshjax.fitting._positive_start import positive_start
+from hshjax.fitting._project import WHOLE, project
+from hshjax.fitting._result import Fit, IterativeFit
+from hshjax.fitting._terms import SampleMisfit, Smoothness
+from hshjax.quadrature import isotropic_pair_rule
+from hshjax.samples import Samples
+
+MaterialModel = Literal["linear", "compact", "inferred", "exp", "cook-torrance", "ggx"]
+
+OnStep = Callable[[str], Callable[[Any, Any], None] | None]
+"""Called with the name of an iterative fit that begins; gives its `on_step` (see `fit`), or None."""
+
+
+class MaterialFit(NamedTuple):
+    """What `fit_material` has found.
+
+    - `model`: the fitted BRDF. - `samples`: what errors are measured on: the samples given, or a table's nodes.
+    - `details`: of the fit itself: a `Fit` (linear), `CompactFit`, `CompactPosterior` (inferred), or the `IterativeFit`
+      of every channel (exp) or of all (lobes).
+    """
+
+    model: AbstractBRDF
+    samples: Samples
+    details: Fit | CompactFit | CompactPosterior | tuple[IterativeFit, ...]
+
+
+def fit_material(
+    data: Samples | PairFunction,
+    model: MaterialModel = "linear",
+    *,
+    basis: AbstractPairBasis | None = None,
+    coefficients: int = 150,
+    norm: str = "D",
+    ridge: float = 1e-5,
+    constraints: tuple[str, ...] = (),
+    degree: int = 64,
+    max_steps: int = 100,
+    on_step: OnStep | None = None,
+) -> MaterialFit:
+    """Fit a measured material: a BRDF that can be evaluated anywhere, or samples wherever they lie.
+
+    - `data`: a BRDF, sampled on an `isotropic_pair_rule` of `degree`; or samples, scattered or on a rule. Weights of
+      scattered samples are scaled such that they add up to (2π)², as those of a rule: `ridge` means the same for both.
+    - `model`: "linear": a series in `basis` (None: isotropic, HSH of order 8) by `project` in `norm`, with a spectral
+      prior of weight `ridge`. "compact": `fit_compact` in so many `coefficients`, of a BRDF on samples of its own.
+      "inferred": `infer_compact` in as many functions. "exp": the exponential of a series in `basis`, `ridge` relative
+      to the energy, channel by channel. "cook-torrance", "ggx": that lobe and a diffuse part, from many starts.
+    - `constraints`: of a linear model, see `project`.
+
+    **Raises:** ValueError as these functions do; for another model.
+    """
+    if model not in get_args(MaterialModel):
+        raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
+    pairs = IsotropicBasis(HSH(8)) if basis is None else basis
+    samples = levelled(data) if isinstance(data, Samples) else Samples.from_function(data, isotropic_pair_rule(degree))
+    begin = on_step if on_step is not None else lambda _: None
+    if model == "linear":
+        prior = "spectral" if ridge else None
+        found = project(pairs, samples, norm=norm, ridge=ridge, prior=prior, constraints=constraints)
+        return MaterialFit(found.model, samples, found)
+    if model == "compact":
+        compact = fit_compact(samples if isinstance(data, Samples) else data, coefficients)
+        return MaterialFit(compact.model, samples, compact)
+    if model == "inferred":
+        posterior = infer_compact(samples, coefficients)
+        return MaterialFit(posterior.model, samples, posterior)
+    samples = samples.cleared()
+    if model == "exp":
+        return _exponential(pairs, samples, ridge, max_steps, begin)
+    return _lobe(model, samples, max_steps, begin)
+
+
+def levelled(samples: Samples) -> Samples:
+    """Scattered samples with weights that add up to (2π)² sr², those of a rule as they are; all 0 stay so."""
+    total = jnp.sum(samples.weight)
+    if samples.degree is not None or not float(total) > 0:
+        return samples
+    return samples.reweighted(samples.weight * (WHOLE / total))
+
+
+def _exponential(
+    pairs: AbstractPairBasis, samples: Samples, ridge: float, max_steps: int, begin: OnStep
+) -> MaterialFit:
+    found = []
+    for k in range(samples.channels):  # channels do not touch: each is a fit of its own
+        one = eqx.tree_at(lambda s: s.value, samples, samples.value[:, k : k + 1])
+        start = positive_start(ExpBRDF, pairs, one)
+        energy = jnp.sum(one.weight * (one.wi[:, 2] * one.wo[:, 2] * one.value[:, 0]) ** 2)
+        objective = {"data": SampleMisfit(one, CosineWeighted()), "smooth": ridge * energy * Smoothness()}
+        on_step = begin(f"channel {k + 1} of {samples.channels}")
+        found.append(fit(start, objective, max_steps=max_steps, throw=False, on_step=on_step))
+    model = ExpBRDF(pairs, jnp.concatenate([one.model.coefficients for one in found], axis=1))
+    return MaterialFit(model, samples, tuple(found))
+
+
+def _lobe(name: str, samples: Samples, max_steps: int, begin: OnStep) -> MaterialFit:
+    colour = jnp.zeros(samples.channels)
+    template = (
+        CookTorrance(colour, colour, jnp.asarray(0.3))
+        if name == "cook-torrance"
+        else Lambert(colour) + GGX(colour, jnp.asarray(0.3))
+    )
+    objective = {"data": SampleMisfit(samples, CosineWeighted())}
+    ahead = multi_start(initial_guesses(template, samples), objective, max_steps=1, throw=False).best.model
+    found = fit(ahead, objective, max_steps=max_steps, throw=False, on_step=begin(name))
+    return MaterialFit(found.model, samples, (found,))

@@ -1,0 +1,91 @@
+"""Any measured material: the reader is chosen by what the file holds, not by its name."""
+
+import os
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
+
+from hshjax.io.errors import FileFormatError
+from hshjax.io.measured import Findings, Measured, Negatives
+from hshjax.quadrature import PairRule, isotropic_pair_rule
+from hshjax.samples import Samples
+
+HEAD = 8192
+"""Bytes of a file that tell its format."""
+
+DEGREE = 64
+"""Of the rule that samples a table, unless another is given."""
+
+
+def _sniff_rgl(head, size):
+    return head.startswith(b"tensor_file\0")
+
+
+def _measured_rgl(path, *, negatives="keep"):
+    from hshjax.io.rgl import read_rgl
+
+    t = read_rgl(path)
+    return Measured(t, Findings("RGL", t.description, t.channel_names, "sr^-1", 10))
+
+
+class Format(NamedTuple):
+    """A format by name: what it is in words; whether a file is of it, by its first bytes and its size; its reader."""
+
+    words: str
+    sniff: Callable[[bytes, int], bool]
+    measured: Callable[..., Measured]
+
+
+FORMATS: dict[str, Format] = {
+    "rgl": Format("RGL material (tensor_file)", _sniff_rgl, _measured_rgl),
+}
+"""The first one whose `sniff` agrees reads a file: formats with a mark of their own come first, the loosest last."""
+
+
+def measured_format(path: str | PathLike) -> str:
+    """The name in `FORMATS` of a file, by its first bytes.
+
+    **Raises:** FileFormatError, which lists the formats that are known, where it is none of them; OSError.
+    """
+    with Path(path).open("rb") as file:
+        head, size = file.read(HEAD), os.fstat(file.fileno()).st_size
+    for name, one in FORMATS.items():
+        if one.sniff(head, size):
+            return name
+    known = "; ".join(one.words for one in FORMATS.values())
+    got = f"a file that begins with {head[:16]!r}" if head else "an empty file"
+    raise FileFormatError(path, "first bytes", f"a measured material ({known})", got)
+
+
+def read_measured(path: str | PathLike, *, format: str | None = None, negatives: Negatives = "keep") -> Measured:
+    """What a file of a measured material holds, samples or a table, and what its reader found.
+
+    - `format`: a name in `FORMATS`; None: found by the first bytes.
+    - `negatives`: "keep" them as measured, "clip" them to 0, or "mask" their samples.
+
+    **Raises:** FileFormatError where no reader takes the file; ValueError for another format or treatment; OSError.
+    """
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"format must be one of {', '.join(FORMATS)}, got {format!r}")
+    return FORMATS[measured_format(path) if format is None else format].measured(path, negatives=negatives)
+
+
+def read_samples(
+    path: str | PathLike, *, rule: PairRule | None = None, negatives: Negatives = "keep"
+) -> tuple[Samples, Findings]:
+    """The samples of any measured file, and what its reader found.
+
+    A table is evaluated at the nodes of `rule` (None: an `isotropic_pair_rule` of degree 64), weighted by solid angle;
+    scattered samples are as they were measured, and have no rule.
+
+    **Raises:** as `read_measured`; ValueError for a rule given along with scattered samples.
+    """
+    data, found = read_measured(path, negatives=negatives)
+    if not isinstance(data, Samples):
+        return data.samples(isotropic_pair_rule(DEGREE) if rule is None else rule), found
+    if rule is not None:
+        raise ValueError(
+            f"{path}: scattered samples ({found.format}) lie where they were measured; a rule is for tables"
+        )
+    return data, found

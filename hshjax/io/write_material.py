@@ -1,0 +1,58 @@
+"""A material in another format: the writer is chosen by the suffix of the file, or by name."""
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hshjax.brdfs import AbstractBRDF
+from hshjax.io.model import save_model
+from hshjax.samples import Samples
+
+
+class Writer(NamedTuple):
+    """What a format is in words, and what writes a BRDF or samples as it."""
+
+    words: str
+    write: Callable[..., None]
+
+
+def _model(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None:
+    save_model(path, _brdf(data, ".hshjax"))
+
+
+WRITERS: dict[str, Writer] = {
+    ".hshjax": Writer("a model of this library, or a table as one", _model),
+}
+"""By suffix."""
+
+
+def write_material(
+    path: str | PathLike, data: AbstractBRDF | Samples, *, to: str | None = None, degree: int = 64
+) -> None:
+    """Write a BRDF or samples; written beside and renamed.
+
+    - `to`: a suffix in `WRITERS`, with or without its point; None: that of `path`.
+    - `degree`: of the rule that samples a BRDF, where samples are written.
+
+    **Raises:** ValueError for a format that is not written, or cannot hold this material; OSError.
+    """
+    WRITERS[writer_suffix(path, to)].write(path, data, degree=degree)
+
+
+def writer_suffix(path: str | PathLike, to: str | None = None) -> str:
+    """The key in `WRITERS`.
+
+    **Raises:** ValueError, which lists them, for another one.
+    """
+    suffix = Path(path).suffix.lower() if to is None else "." + to.lower().removeprefix(".")
+    if suffix not in WRITERS:
+        known = ", ".join(f"{name} ({one.words})" for name, one in WRITERS.items())
+        raise ValueError(f"{path}: cannot write {suffix or 'a file without a suffix'!r}; what is written: {known}")
+    return suffix
+
+
+def _brdf(data: AbstractBRDF | Samples, suffix: str) -> AbstractBRDF:
+    if isinstance(data, Samples):
+        raise ValueError(f"{suffix} holds a BRDF, and these are scattered samples: fit them, and convert the model")
+    return data
