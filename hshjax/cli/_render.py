@@ -73,7 +73,9 @@ def render(
     if isinstance(brdf, Samples):
         raise failure(f"{file}: scattered samples have no value between them; hshjax fit {file}, and render the model")
     if mesh is None:
-        camera = OrthographicCamera((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), height=jnp.asarray(2 * MARGIN), resolution=(size, size))
+        camera = OrthographicCamera(
+            (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), height=jnp.asarray(2 * MARGIN), resolution=(size, size)
+        )
         seen = surface.sphere(camera)
     else:
         seen, camera = _mesh(mesh, size)
@@ -139,7 +141,9 @@ def _mesh(path: Path, size: int) -> tuple[Any, Any]:
     if not height > 0:
         raise failure(f"{path}: seen along -z the mesh has no extent")
     centre = tuple(float(c) for c in (low + high) / 2)
-    camera = OrthographicCamera((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), centre=centre, height=jnp.asarray(height), resolution=(size, size))
+    camera = OrthographicCamera(
+        (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), centre=centre, height=jnp.asarray(height), resolution=(size, size)
+    )
     return surface.mesh(camera, vertices, faces), camera
 
 

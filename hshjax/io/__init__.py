@@ -1,9 +1,17 @@
 """Files: measured materials, photographs, normals, images, models. One file a format."""
 
+from hshjax.io.alta import measured_alta as measured_alta, read_alta as read_alta
+from hshjax.io.astm import measured_astm as measured_astm, read_astm as read_astm
 from hshjax.io.coverage import Coverage as Coverage, coverage as coverage
+from hshjax.io.csv_samples import (
+    measured_csv_samples as measured_csv_samples,
+    read_csv_samples as read_csv_samples,
+    write_csv_samples as write_csv_samples,
+)
 from hshjax.io.diligent import read_diligent as read_diligent
 from hshjax.io.errors import FileFormatError as FileFormatError
 from hshjax.io.exr import exr_channels as exr_channels, read_exr as read_exr, write_exr as write_exr
+from hshjax.io.fred import measured_fred as measured_fred, read_fred as read_fred
 from hshjax.io.light_positions import (
     read_light_positions as read_light_positions,
     read_photograph_folder as read_photograph_folder,
@@ -24,3 +32,4 @@ from hshjax.io.read_measured import (
 from hshjax.io.read_mesh import read_mesh as read_mesh
 from hshjax.io.rgl import read_rgl as read_rgl
 from hshjax.io.tensor_file import read_tensor_file as read_tensor_file
+from hshjax.io.zemax import measured_zemax as measured_zemax, read_zemax as read_zemax

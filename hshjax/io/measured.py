@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from os import PathLike
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -65,15 +65,20 @@ def measured_samples(
     negatives: Negatives,
     cosine_included: bool = False,
     isotropic: bool = False,
+    weight: np.ndarray | None = None,
 ) -> Measured:
-    """Samples of equal weight from what a scattered file holds.
+    """Samples from what a scattered file holds, of equal weight unless `weight` `(n,)` is given.
 
     `wi`, `wo`: unit directions `(n, 3)`; `value`: `(n, channels)`, finite, times cos θ_o if `cosine_included`. Entries
     with a direction on or below the horizon are dropped and counted, negative values are treated as `negatives` says.
+    What the reader has left out already stands in `found.dropped`, and counts as entries.
 
-    **Raises:** FileFormatError where nothing is left.
+    **Raises:** FileFormatError where nothing is left, or a value is too large for float32 once the cosine is out of it;
+    ValueError for other words than those of `Negatives`.
     """
-    entries = len(value)
+    if negatives not in get_args(Negatives):
+        raise ValueError(f"negatives is one of {', '.join(get_args(Negatives))}, got {negatives!r}")
+    entries = len(value) + sum(found.dropped.values())
     upper = (wi[:, 2] > GRAZING) & (wo[:, 2] > GRAZING)
     dropped, masked = dict(found.dropped), dict(found.masked)
     if not upper.all():
@@ -81,18 +86,20 @@ def measured_samples(
     if not upper.any():
         raise FileFormatError(path, "samples", "directions above the horizon", f"none among {entries}")
     wi, wo, value = wi[upper], wo[upper], value[upper]
+    weight = np.ones(len(value)) if weight is None else weight[upper]
     notes = list(found.notes)
     if cosine_included:
         value = value / wo[:, 2:]
+        if not np.all(np.abs(value) <= np.finfo(np.float32).max):
+            raise FileFormatError(path, "values over the cosine", "finite numbers (of float32)", "larger ones")
         notes.append("Values include the cosine of the outgoing direction: divided by it.")
     negative = np.any(value < 0, axis=1)
-    weight = np.ones(len(value))
     if negative.any() and negatives == "clip":
         value = np.maximum(value, 0)
         notes.append("Negative values became 0.")
     elif negative.any() and negatives == "mask":
-        weight[negative] = 0
-        masked["a negative value"] = int(negative.sum())
+        masked["a negative value"] = int(np.sum(negative & (weight > 0)))
+        weight = np.where(negative, 0.0, weight)
     found = replace(
         found, entries=entries, dropped=dropped, masked=masked, negative=int(negative.sum()), notes=tuple(notes)
     )

@@ -6,6 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
+from hshjax.io import alta, astm, csv_samples, fred, zemax
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
 from hshjax.quadrature import PairRule, isotropic_pair_rule
@@ -37,8 +38,18 @@ class Format(NamedTuple):
     measured: Callable[..., Measured]
 
 
+def _text(sniff: Callable[[bytes], bool]) -> Callable[[bytes, int], bool]:
+    """Text files tell their format by their first lines, whatever their size."""
+    return lambda head, size: sniff(head)
+
+
 FORMATS: dict[str, Format] = {
     "rgl": Format("RGL material (tensor_file)", _sniff_rgl, _measured_rgl),
+    "alta": Format("ALTA text", _text(alta.sniff), alta.measured_alta),
+    "fred": Format("FRED BSDF data", _text(fred.sniff), fred.measured_fred),
+    "zemax": Format("Zemax tabular BSDF", _text(zemax.sniff), zemax.measured_zemax),
+    "astm": Format("ASTM E1392 text", _text(astm.sniff), astm.measured_astm),
+    "csv": Format("CSV with named columns", _text(csv_samples.sniff), csv_samples.measured_csv_samples),
 }
 """The first one whose `sniff` agrees reads a file: formats with a mark of their own come first, the loosest last."""
 

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hshjax.brdfs import AbstractBRDF
+from hshjax.io.csv_samples import write_csv_samples
 from hshjax.io.model import save_model
+from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 
 
@@ -21,8 +23,15 @@ def _model(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None
     save_model(path, _brdf(data, ".hshjax"))
 
 
+def _csv(path: str | PathLike, data: AbstractBRDF | Samples, *, degree: int, **_: Any) -> None:
+    samples = data if isinstance(data, Samples) else Samples.from_function(data, isotropic_pair_rule(degree))
+    names = getattr(data, "channel_names", None)
+    write_csv_samples(path, samples.cleared(), names, material=getattr(data, "description", ""))
+
+
 WRITERS: dict[str, Writer] = {
     ".hshjax": Writer("a model of this library, or a table as one", _model),
+    ".csv": Writer("samples in CSV", _csv),
 }
 """By suffix."""
 
