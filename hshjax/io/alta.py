@@ -29,6 +29,7 @@ OUTPUTS = {
 }
 """Channels, where the name tells them, and units of each kind of value. ENERGY is no BRDF."""
 
+WITHIN = re.compile(rf"#(?:{'|'.join(KEYS)})\b")
 START = re.compile(r"#(DIM\s+\d+\s+\d+|PARAM_IN\s+\w+|ALTA HEADER BEGIN)\s*$")
 
 
@@ -111,6 +112,8 @@ def _header(file: Lines) -> tuple[Header, int]:
     for number, line in enumerate(file.lines, 1):
         if line.strip() and not line.startswith("#"):
             return header, number
+        if late := WITHIN.search(line, 1):
+            raise file.error(number, f"{late[0]} at the beginning of a line", shown(line))
         if not (match := re.match(r"#(\S+)\s*(.*)", line)):
             continue
         key, words = match[1], match[2].strip()
@@ -122,6 +125,8 @@ def _header(file: Lines) -> tuple[Header, int]:
             raise file.error(number, f"#{key} once", f"again, after line {header[key][0]}")
         # `#PARAM_OUTT`, passed over as words about the measurement, would change what the values mean.
         refuse_misspelt(file, number, key, KEYS)
+        if key not in KEYS and key.startswith(KEYS):
+            raise file.error(number, "a blank after the keyword", shown(line))
         header.setdefault(key, (number, words))
     return header, number + 1
 

@@ -112,9 +112,8 @@ def _header(file: Lines) -> tuple[dict[str, tuple[int, str]], int, list[str]]:
         if key == "NUM_POINTS" and key in header:
             raise file.error(number, "NUM_POINTS once", f"again, after line {header[key][0]}")
         header.setdefault(key, (number, words.strip().strip('"')))
-    raise file.error(
-        min(HEADER, len(file.lines)), "a header that ends with VARS and the names of the columns", "no such line"
-    )
+    expected = "a header that ends with VARS and the names of the columns"
+    raise file.error(min(HEADER, len(file.lines)), expected, "no such line")
 
 
 def _angles(file: Lines, number: int, names: list[str]) -> Angles:

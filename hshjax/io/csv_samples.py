@@ -34,8 +34,12 @@ VECTORS = {side: tuple(f"w{side}_{axis}" for axis in "xyz") for side in "io"}
 WEIGHT = "weight"
 KNOWN = (*ANGLES, *VECTORS["i"], *VECTORS["o"], WEIGHT)
 KEYS = ("material", "isotropic", "units", "cosine_included")
+STRICT = ("isotropic", "units", "cosine_included")
+"""Of these, the ones that say what the values mean."""
+
 UNITS = ("sr^-1", "1/sr", "sr-1")
 KEY = re.compile(r"#\s*(\w+)\s*:\s*(.*)")
+WITHIN = re.compile(rf"#\s*(?:{'|'.join(STRICT)})\s*:", re.IGNORECASE)
 
 Directions = Literal["vectors", "deg", "rad"]
 
@@ -193,6 +197,13 @@ def _comments(file: Lines) -> tuple[dict[str, tuple[int, str]], int]:
             if key in KEYS and key in said:
                 raise file.error(number, f"{key!r} once", f"again, after line {said[key][0]}")
             said[key] = number, match[2].strip()
+        else:
+            # A comment, unless it is one of those that change what the values mean, with its colon lost.
+            for word in line.lstrip("#").split()[:1]:
+                if word.lower() in STRICT or misspelt(word, STRICT):
+                    raise file.error(number, "'# key: value', or a comment that begins otherwise", shown(line))
+        if late := WITHIN.search(line, 1):
+            raise file.error(number, f"{late[0]!r} at the beginning of a line", shown(line))
     raise file.error(len(file.lines), "a line with the names of the columns", "the end of the file")
 
 

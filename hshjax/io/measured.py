@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from os import PathLike
 from typing import Literal, NamedTuple, get_args
 
+import jax.numpy as jnp
 import numpy as np
 
 from hshjax.brdfs import TabulatedBRDF
@@ -103,4 +104,5 @@ def measured_samples(
     found = replace(
         found, entries=entries, dropped=dropped, masked=masked, negative=int(negative.sum()), notes=tuple(notes)
     )
-    return Measured(Samples.scattered(wi, wo, value, weight, isotropic=isotropic), found)
+    arrays = [jnp.asarray(array) for array in (wi, wo, value, weight)]
+    return Measured(Samples.scattered(*arrays, isotropic=isotropic), found)
