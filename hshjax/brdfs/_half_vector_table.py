@@ -9,10 +9,14 @@ import numpy as np
 from jax.core import Tracer
 
 from hshjax._fields import floating
-from hshjax._typing import Array, Float, Int
+from hshjax._typing import Array, Bool, Float, Int
 from hshjax.bases import IdentityWarp
 from hshjax.bases._half_vector import half_chart
 from hshjax.brdfs._tabulated import TabulatedBRDF
+from hshjax.samples import Samples
+
+GRAZING = 1e-6
+"""Cosine up to which a direction of a node counts as on the horizon."""
 
 
 class HalfVectorTable(TabulatedBRDF):
@@ -32,6 +36,9 @@ class HalfVectorTable(TabulatedBRDF):
 
     The grid of a MERL file is (i/90)² π/2, i degrees, i degrees: 90 x 90 x 180 nodes.
 
+    - `measured`: optional, `(theta_h, theta_d, phi_d)`, which nodes hold a value. Of the others nothing is read: between
+      nodes the weights of the measured ones are scaled to a sum of 1, and where a cell has none the BRDF is 0.
+
     **Raises:** ValueError for values that do not fit the nodes, or nodes out of order or range.
 
     Source: Rusinkiewicz, A New Change of Variables for Efficient BRDF Representation, EGWR 1998 (the coordinates).
@@ -43,6 +50,7 @@ class HalfVectorTable(TabulatedBRDF):
     phi_d: Float[Array, " phi_d"] = eqx.field(converter=floating)
     description: str = eqx.field(static=True, default="")
     channel_names: tuple[str, ...] = eqx.field(static=True, default=("R", "G", "B"))
+    measured: Bool[Array, "theta_h theta_d phi_d"] | None = None
 
     def __check_init__(self):
         nodes = self.theta_h.shape + self.theta_d.shape + self.phi_d.shape
@@ -50,6 +58,8 @@ class HalfVectorTable(TabulatedBRDF):
         if self.values.shape != expected:
             got = self.values.shape
             raise ValueError(f"values of a table must have shape {expected}, by its nodes and channel names, got {got}")
+        if self.measured is not None and self.measured.shape != nodes:
+            raise ValueError(f"measured of a table must have shape {nodes}, by its nodes, got {self.measured.shape}")
         if min(nodes[:2]) < 2 or nodes[2] < 1:
             raise ValueError(f"a table needs two nodes along θ_h and θ_d and one along φ_d, got {nodes}")
         for name, end, closed in (("theta_h", np.pi / 2, True), ("theta_d", np.pi / 2, True), ("phi_d", np.pi, False)):
@@ -57,10 +67,58 @@ class HalfVectorTable(TabulatedBRDF):
                 _check_nodes(name, np.asarray(getattr(self, name), np.float64), end, closed=closed)
 
     def settled(self) -> "HalfVectorTable":
-        """The same table with the mean over φ_d where θ_h or θ_d is 0, and φ_d means nothing."""
-        nowhere = (self.theta_h == 0)[:, None] | (self.theta_d == 0)[None]
-        values = jnp.where(nowhere[..., None, None], jnp.mean(self.values, axis=2, keepdims=True), self.values)
-        return eqx.tree_at(lambda table: table.values, self, values)
+        """The same table with the mean over φ_d where θ_h or θ_d is 0, and φ_d means nothing; of measured nodes, if any
+        is, and they all count as measured then.
+        """
+        nowhere = ((self.theta_h == 0)[:, None] | (self.theta_d == 0)[None])[..., None]
+        if self.measured is None:
+            values = jnp.where(nowhere[..., None], jnp.mean(self.values, axis=2, keepdims=True), self.values)
+            return eqx.tree_at(lambda table: table.values, self, values)
+        count = jnp.sum(self.measured, axis=2, keepdims=True).astype(self.values.dtype)[..., None]
+        total = jnp.sum(jnp.where(self.measured[..., None], self.values, 0), axis=2, keepdims=True)
+        values = jnp.where(nowhere[..., None], total / jnp.maximum(count, 1), self.values)
+        measured = jnp.where(nowhere, jnp.any(self.measured, axis=2, keepdims=True), self.measured)
+        return eqx.tree_at(lambda table: (table.values, table.measured), self, (values, measured))
+
+    def node_samples(self, *, folded: bool = False) -> Samples:
+        """The values at the nodes themselves, nothing interpolated, each weighted by the solid angle [sr²] of its cell.
+
+        Nodes without a measurement, or with a direction on the horizon or below, are left out. A cell reaches halfway
+        to the next nodes in sqrt(θ_h), θ_d and φ_d, to 0 and π/2 at the ends; its solid angle is that of
+
+            dω_i dω_o = 4 cos θ_d dω_h dω_d,
+
+        over all φ_h, and over φ_d and φ_d + π, which a swap of the directions cannot tell apart. So the weights of a
+        fine table add up to (2π)²; cells that the horizon cuts are not cut. On the host, and not under `jax.jit`.
+
+        `folded`: nodes at φ_d and π - φ_d become one sample, with the mean of their values and the sum of their
+        weights. A bilateral function is the same at both: a fit of one has the same coefficients, from half as many
+        samples, and a residual without what the two differ by.
+
+        Source: Walter et al., Microfacet Models for Refraction through Rough Surfaces, EGSR 2007, Eq. 14 (the measure).
+        """
+        theta_h, theta_d, phi_d = (np.asarray(axis, np.float64) for axis in (self.theta_h, self.theta_d, self.phi_d))
+        there, values = self._measured_on_host(), np.asarray(self.values)
+        half, azimuth = _solid_angles(theta_h, theta_d, phi_d)
+        mirrored = _mirrored(phi_d) if folded else np.arange(phi_d.size)
+        first = np.flatnonzero(mirrored >= np.arange(phi_d.size))
+        second = mirrored[first]
+        share = there[..., first] * azimuth[first]
+        value = values[:, :, first]
+        if folded:
+            other = there[..., second] * np.where(second == first, 0, azimuth[second])
+            both = share + other
+            part = np.divide(other, both, out=np.zeros_like(both), where=both > 0)[..., None]
+            value = np.where(part < 1, value, 0) * (1 - part) + np.where(part > 0, values[:, :, second], 0) * part
+            share = both
+        wi, wo = _node_directions(theta_h, theta_d, phi_d[first])
+        used = (wi[..., 2] > GRAZING) & (wo[..., 2] > GRAZING) & (share > 0)
+        weight = (half[..., None] * share)[used].astype(values.dtype)
+        wi, wo = (w[used].astype(values.dtype, copy=False) for w in (wi, wo))
+        return Samples.scattered(wi, wo, value[used].astype(values.dtype, copy=False), weight, isotropic=True)
+
+    def _measured_on_host(self) -> np.ndarray:
+        return np.ones(self.values.shape[:3], bool) if self.measured is None else np.asarray(self.measured)
 
     def formula(self, wi, wo):
         batch = wi.shape[:-1]
@@ -73,8 +131,17 @@ class HalfVectorTable(TabulatedBRDF):
         )
         channels = self.values.shape[3]
         total = jnp.zeros((theta_h.size, channels), wi.dtype)
+        if self.measured is None:
+            for (h, at_h), (d, at_d), (f, at_f) in product(*ends):
+                total += (at_h * at_d * at_f)[:, None] * self.values[h, d, f]
+            return total.reshape(*batch, channels)
+        found = jnp.zeros(theta_h.size, wi.dtype)
         for (h, at_h), (d, at_d), (f, at_f) in product(*ends):
-            total += (at_h * at_d * at_f)[:, None] * self.values[h, d, f]
+            there = self.measured[h, d, f]
+            weight = jnp.where(there, at_h * at_d * at_f, 0)
+            total += weight[:, None] * jnp.where(there[:, None], self.values[h, d, f], 0)
+            found += weight
+        total = jnp.where(found[:, None] > 0, total / jnp.where(found > 0, found, 1)[:, None], 0)
         return total.reshape(*batch, channels)
 
 
@@ -93,6 +160,41 @@ def half_difference_angles(
     cos, sin = (jnp.where(nowhere, pole, scale * part) for part, pole in zip(chart.turn, (1, 0), strict=True))
     twice = jnp.arctan2(sin, cos)
     return _angle(chart.u, tiny), _angle(chart.v, tiny), jnp.where(twice < 0, twice / 2 + jnp.pi, twice / 2)
+
+
+def _node_directions(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """wi and wo, `(theta_h, theta_d, phi_d, 3)`, of the nodes, φ_h = 0: `from_half_difference`, but of three axes, whose
+    sines are so many fewer.
+    """
+    h, d, f = theta_h[:, None, None], theta_d[None, :, None], phi_d[None, None, :]
+    x, y, z = np.sin(d) * np.cos(f), np.sin(d) * np.sin(f), np.cos(d)
+    out = np.empty((2, theta_h.size, theta_d.size, phi_d.size, 3))
+    for w, sign in zip(out, (1, -1), strict=True):
+        w[..., 0] = sign * np.cos(h) * x + np.sin(h) * z
+        w[..., 1] = sign * y
+        w[..., 2] = np.cos(h) * z - sign * np.sin(h) * x
+    return out[0], out[1]
+
+
+def _solid_angles(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the cells, as factors `(theta_h, theta_d)` and `(phi_d,)`, their product in sr²: see `node_samples`."""
+    half = -np.diff(np.cos(_walls(np.sqrt(theta_h), np.sqrt(np.pi / 2)) ** 2))
+    difference = 2 * np.diff(np.sin(_walls(theta_d, np.pi / 2)) ** 2)
+    after = np.diff(np.append(phi_d, phi_d[0] + np.pi))
+    # Half of the gap on either side, twice: for φ_d and for φ_d + π.
+    return 2 * np.pi * half[:, None] * difference, after + np.roll(after, 1)
+
+
+def _mirrored(phi_d: np.ndarray) -> np.ndarray:
+    """The index of π - φ_d modulo π; where there is no such node, the node's own."""
+    own = np.arange(phi_d.size)
+    gap = np.abs((phi_d[:, None] + phi_d + np.pi / 2) % np.pi - np.pi / 2)
+    nearest = np.argmin(gap, axis=1)
+    return np.where(gap[own, nearest] < 1e-5, nearest, own)
+
+
+def _walls(nodes: np.ndarray, end: float) -> np.ndarray:
+    return np.concatenate([[0], (nodes[1:] + nodes[:-1]) / 2, [end]])
 
 
 def _angle(o: Float[Array, " n"], tiny: float) -> Float[Array, " n"]:

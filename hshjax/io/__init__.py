@@ -16,6 +16,7 @@ from hshjax.io.light_positions import (
     read_light_positions as read_light_positions,
     read_photograph_folder as read_photograph_folder,
 )
+from hshjax.io.merl import measured_merl as measured_merl, read_merl as read_merl, write_merl as write_merl
 from hshjax.io.model import load_model as load_model, save_model as save_model
 from hshjax.io.normals import read_normals as read_normals, write_normals as write_normals
 from hshjax.io.photograph_layers import read_photograph_layers as read_photograph_layers

@@ -42,7 +42,10 @@ DTYPES = frozenset(
         *("float16", "bfloat16", "float32", "float64", "complex64", "complex128"),
     ]
 )
-ADDED: dict[str, frozenset[str]] = {"HalfVectorBasis": frozenset(["difference_warp"])}
+ADDED: dict[str, frozenset[str]] = {
+    "HalfVectorBasis": frozenset(["difference_warp"]),
+    "HalfVectorTable": frozenset(["measured"]),
+}
 """Fields that classes have got since they could be saved: a file from before means their defaults."""
 
 MAX_DIMENSIONS = 32
