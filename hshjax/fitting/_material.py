@@ -8,8 +8,9 @@ import jax.numpy as jnp
 
 from hshjax._typing import PairFunction
 from hshjax.bases import HSH, AbstractPairBasis, IsotropicBasis
-from hshjax.brdfs import GGX, AbstractBRDF, CookTorrance, ExpBRDF, Lambert
-from hshjax.fitting._compact import CompactFit, fit_compact
+from hshjax.brdfs import GGX, AbstractBRDF, CookTorrance, ExpBRDF, HalfVectorTable, Lambert
+from hshjax.brdfs._known import known, table_samples
+from hshjax.fitting._compact import CompactFit, fit_compact, half_vector_samples
 from hshjax.fitting._compact_posterior import CompactPosterior
 from hshjax.fitting._fit import fit
 from hshjax.fitting._guess import initial_guesses
@@ -18,12 +19,16 @@ from hshjax.fitting._mappings import CosineWeighted
 from hshjax.fitting._multi_start import multi_start
 from hshjax.fitting._positive_start import positive_start
 from hshjax.fitting._project import WHOLE, project
+from hshjax.fitting._project_by_moments import project_by_moments
 from hshjax.fitting._result import Fit, IterativeFit
 from hshjax.fitting._terms import SampleMisfit, Smoothness
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 
 MaterialModel = Literal["linear", "compact", "inferred", "exp", "cook-torrance", "ggx"]
+
+MANY = 200_000
+"""Samples beyond which a projection takes moments of them."""
 
 OnStep = Callable[[str], Callable[[Any, Any], None] | None]
 """Called with the name of an iterative fit that begins; gives its `on_step` (see `fit`), or None."""
@@ -57,7 +62,8 @@ def fit_material(
 ) -> MaterialFit:
     """Fit a measured material: a BRDF that can be evaluated anywhere, or samples wherever they lie.
 
-    - `data`: a BRDF, sampled on an `isotropic_pair_rule` of `degree`; or samples, scattered or on a rule. Weights of
+    - `data`: a BRDF, sampled on an `isotropic_pair_rule` of `degree`, a table of half and difference angles at its own
+      nodes for a linear model; not where it has no value. Or samples, scattered or on a rule. Weights of
       scattered samples are scaled such that they add up to (2π)², as those of a rule: `ridge` means the same for both.
     - `model`: "linear": a series in `basis` (None: isotropic, HSH of order 8) by `project` in `norm`, with a spectral
       prior of weight `ridge`. "compact": `fit_compact` in so many `coefficients`, of a BRDF on samples of its own.
@@ -70,14 +76,22 @@ def fit_material(
     if model not in get_args(MaterialModel):
         raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
     pairs = IsotropicBasis(HSH(8)) if basis is None else basis
-    samples = levelled(data) if isinstance(data, Samples) else Samples.from_function(data, isotropic_pair_rule(degree))
+    if isinstance(data, Samples):
+        samples = levelled(data)
+    elif isinstance(data, HalfVectorTable) and model == "linear":
+        samples = data.node_samples()
+    else:
+        samples = table_samples(data, isotropic_pair_rule(degree))
     begin = on_step if on_step is not None else lambda _: None
     if model == "linear":
         prior = "spectral" if ridge else None
-        found = project(pairs, samples, norm=norm, ridge=ridge, prior=prior, constraints=constraints)
+        if samples.size > MANY and not constraints:
+            found = project_by_moments(pairs, samples, norm=norm, ridge=ridge, prior=prior)
+        else:
+            found = project(pairs, samples, norm=norm, ridge=ridge, prior=prior, constraints=constraints)
         return MaterialFit(found.model, samples, found)
     if model == "compact":
-        compact = fit_compact(samples if isinstance(data, Samples) else data, coefficients)
+        compact = fit_compact(samples if isinstance(data, Samples) else _along_highlight(data), coefficients)
         return MaterialFit(compact.model, samples, compact)
     if model == "inferred":
         posterior = infer_compact(samples, coefficients)
@@ -86,6 +100,12 @@ def fit_material(
     if model == "exp":
         return _exponential(pairs, samples, ridge, max_steps, begin)
     return _lobe(model, samples, max_steps, begin)
+
+
+def _along_highlight(brdf: PairFunction) -> Samples:
+    """`half_vector_samples`, with weight 0 where a table has no value."""
+    samples = half_vector_samples(brdf)
+    return samples.reweighted(jnp.where(known(brdf, samples.wi, samples.wo), samples.weight, 0))
 
 
 def levelled(samples: Samples) -> Samples:

@@ -6,7 +6,9 @@ from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
-from hshjax.io import alta, astm, csv_samples, fred, zemax
+from hshjax.brdfs import HalfVectorTable
+from hshjax.brdfs._known import table_samples
+from hshjax.io import alta, astm, csv_samples, fred, merl, zemax
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
 from hshjax.quadrature import PairRule, isotropic_pair_rule
@@ -45,6 +47,7 @@ def _text(sniff: Callable[[bytes], bool]) -> Callable[[bytes, int], bool]:
 
 FORMATS: dict[str, Format] = {
     "rgl": Format("RGL material (tensor_file)", _sniff_rgl, _measured_rgl),
+    "merl": Format("MERL binary", merl.sniff, merl.measured_merl),
     "alta": Format("ALTA text", _text(alta.sniff), alta.measured_alta),
     "fred": Format("FRED BSDF data", _text(fred.sniff), fred.measured_fred),
     "zemax": Format("Zemax tabular BSDF", _text(zemax.sniff), zemax.measured_zemax),
@@ -87,14 +90,17 @@ def read_samples(
 ) -> tuple[Samples, Findings]:
     """The samples of any measured file, and what its reader found.
 
-    A table is evaluated at the nodes of `rule` (None: an `isotropic_pair_rule` of degree 64), weighted by solid angle;
-    scattered samples are as they were measured, and have no rule.
+    A table is evaluated at the nodes of `rule`, weighted by solid angle; None: at its own nodes where these are pairs of
+    directions (MERL), else on an `isotropic_pair_rule` of degree 64. Where nothing was measured the weight is 0.
+    Scattered samples are as they were measured, and have no rule.
 
     **Raises:** as `read_measured`; ValueError for a rule given along with scattered samples.
     """
     data, found = read_measured(path, negatives=negatives)
     if not isinstance(data, Samples):
-        return data.samples(isotropic_pair_rule(DEGREE) if rule is None else rule), found
+        if rule is None and isinstance(data, HalfVectorTable):
+            return data.node_samples(), found
+        return table_samples(data, isotropic_pair_rule(DEGREE) if rule is None else rule), found
     if rule is not None:
         raise ValueError(
             f"{path}: scattered samples ({found.format}) lie where they were measured; a rule is for tables"

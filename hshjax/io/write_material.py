@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from hshjax.brdfs import AbstractBRDF
 from hshjax.io.csv_samples import write_csv_samples
+from hshjax.io.merl import write_merl
 from hshjax.io.model import save_model
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
@@ -23,6 +24,10 @@ def _model(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None
     save_model(path, _brdf(data, ".hshjax"))
 
 
+def _merl(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None:
+    write_merl(path, _brdf(data, ".binary"), repeat=True)
+
+
 def _csv(path: str | PathLike, data: AbstractBRDF | Samples, *, degree: int, **_: Any) -> None:
     samples = data if isinstance(data, Samples) else Samples.from_function(data, isotropic_pair_rule(degree))
     names = getattr(data, "channel_names", None)
@@ -31,6 +36,7 @@ def _csv(path: str | PathLike, data: AbstractBRDF | Samples, *, degree: int, **_
 
 WRITERS: dict[str, Writer] = {
     ".hshjax": Writer("a model of this library, or a table as one", _model),
+    ".binary": Writer("MERL", _merl),
     ".csv": Writer("samples in CSV", _csv),
 }
 """By suffix."""
