@@ -10,7 +10,7 @@ from hshjax.samples import Samples
 
 
 def known(brdf: PairFunction, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Bool[Array, " n"]:
-    """Whether a BRDF has a value at these pairs: not where all nodes around are missing from a table, which is 0 there."""
+    """Whether a BRDF has a value at pairs: a table, which is 0 where all nodes around are missing, has none."""
     if not isinstance(brdf, HalfVectorTable) or brdf.measured is None:
         return jnp.ones(wi.shape[0], bool)
     # Interpolation scales the weights of measured nodes to a sum of 1: a table of ones is 1 where there are any.

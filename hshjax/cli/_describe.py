@@ -44,9 +44,19 @@ def describe_coverage(figures: Figures, found: Any) -> None:
 
 def describe_model(figures: Figures, brdf: Any) -> None:
     """Class and numbers of a BRDF, without evaluating it."""
-    from hshjax.brdfs import AbstractPositiveBRDF, LinearBRDF, LogLinearBRDF
+    import numpy as np
+
+    from hshjax.brdfs import AbstractPositiveBRDF, HalfVectorTable, LinearBRDF, LogLinearBRDF, RGLTable
 
     figures.add("kind", type(brdf).__name__)
+    if isinstance(brdf, HalfVectorTable):
+        nodes = brdf.values.shape[:3]
+        figures.add("nodes", nodes, words=" x ".join(map(str, nodes)) + " in θ_h, θ_d, φ_d")
+    if isinstance(brdf, RGLTable):
+        low, high = (float(np.degrees(theta)) for theta in (brdf.theta_i[0], brdf.theta_i[-1]))
+        words = f"{low:.4g} to {high:.4g} degrees, {brdf.theta_i.size} of them"
+        figures.add("theta_i_degrees", (low, high), label="incidences", words=words)
+        figures.add("incidences", int(brdf.theta_i.size), label="number of incidences")
     if isinstance(brdf, LogLinearBRDF):
         _series(figures, brdf)
     if isinstance(brdf, LinearBRDF | AbstractPositiveBRDF):
@@ -104,5 +114,5 @@ def numbers(values: Any) -> str:
     """One number a channel, for people; of more than four channels their range."""
     values = [float(v) for v in values]
     if len(values) > 4:
-        return f"{min(values):.4f} to {max(values):.4f} in {len(values)} channels"
-    return " ".join(f"{v:.4f}" for v in values)
+        return f"{min(values):.4g} to {max(values):.4g} in {len(values)} channels"
+    return " ".join(f"{v:.4g}" for v in values)

@@ -134,20 +134,18 @@ def fit(
     with complaints.status("measuring errors"):
         figures.add("model", model)
         describe_model(figures, result.model)
-        if data is not result.samples:
-            size = f"{result.samples.size}" + (
-                "" if isinstance(data, Samples) else f" on a rule of degree {result.samples.degree}"
-            )
-            figures.add("samples", result.samples.size, words=size)
+        where = "" if result.samples.degree is None else f" on a rule of degree {result.samples.degree}"
+        figures.add("samples", result.samples.size, words=f"{result.samples.size}{where}")
         _details(figures, result.details)
         errors = compare(result.samples, result.model)
         for name, value in errors.errors.items():
             figures.add(f"relative_error_{name}", value, f"relative error, norm {name}", numbers(value))
-        figures.add(
-            "log_error", errors.log_error, "error of ln(1 + ρ cos θ), up to 80 degrees", numbers(errors.log_error)
-        )
+        describe_log_error(figures, errors.log_error)
         describe_energy(figures, result.model)
-        figures.add("extrapolated", beyond, words=beyond or "beyond what the file tells of its table")
+        if beyond is not None:
+            figures.add("extrapolated", beyond)
+            if model == "linear":
+                figures.add("advice", "a series rings between few incidences; --model inferred, or compact, does not")
     with complaints.status("writing"):
         if folder:
             with replacing_folder(target) as beside:

@@ -2,9 +2,11 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction
+from hshjax.brdfs._known import known
 from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import NORMS
 from hshjax.geometry import direction
@@ -51,9 +53,17 @@ def compare(reference: Samples | PairFunction, candidate: Samples | PairFunction
     if isinstance(reference, Samples) and isinstance(candidate, Samples):
         raise ValueError("both sides are scattered samples: one of the two must be a table or a model; fit one of them")
     # Where the candidate is the measured one, the reference's values at its directions are what errors relate to.
-    given = next((side for side in (reference, candidate) if isinstance(side, Samples)), None)
-    rule = given if given is not None else Samples.from_function(reference, isotropic_pair_rule(degree))  # pyright: ignore[reportArgumentType]
+    if isinstance(reference, Samples):
+        rule = reference
+    elif isinstance(candidate, Samples):
+        rule = candidate
+    else:
+        rule = Samples.from_function(reference, isotropic_pair_rule(degree))
     rule = rule.cleared()
+    for side in (reference, candidate):  # where a table has no value, there is nothing to compare
+        if not isinstance(side, Samples):
+            there = known(side, rule.wi, rule.wo)
+            rule = eqx.tree_at(lambda s: s.weight, rule, jnp.where(there, rule.weight, 0))
     here, there = (_at(side, rule) for side in (reference, candidate))
     if here.channels != there.channels:
         raise ValueError(f"the reference has {here.channels} channels, the candidate {there.channels}")

@@ -21,7 +21,7 @@ from hshjax._special import RadialTables, jacobi_matrix, powers, radial_rows, ra
 from hshjax._typing import Array, Float
 from hshjax.bases import HSH, SHR, IsotropicBasis, Zernike
 from hshjax.bases._base import AbstractBasis, matmul
-from hshjax.bases._isotropic import RadialModes, _difference_chart, _factors
+from hshjax.bases._isotropic import _difference_chart, _factors
 from hshjax.brdfs._linear import cosine_power
 from hshjax.fitting._blocks import fold
 from hshjax.fitting._norms import Norm
@@ -101,7 +101,9 @@ def _band_sums(band: Band, azimuth: Array, pi: Array, po: Array, weight: Array) 
     return sums.reshape(*left.shape[:3], weight.shape[0], band.degrees)
 
 
-def _inner(pairs: IsotropicBasis, bands: list[Band], sums: list[Array], channels: int) -> Float[Array, "modes channels"]:
+def _inner(
+    pairs: IsotropicBasis, bands: list[Band], sums: list[Array], channels: int
+) -> Float[Array, "modes channels"]:
     """Σ w B_k of every function, from the sums of Legendre polynomials."""
     n, to_radial = pairs.table(), _to_radial(pairs.basis)
     degrees = to_radial.shape[1]

@@ -90,8 +90,8 @@ def read_samples(
 ) -> tuple[Samples, Findings]:
     """The samples of any measured file, and what its reader found.
 
-    A table is evaluated at the nodes of `rule`, weighted by solid angle; None: at its own nodes where these are pairs of
-    directions (MERL), else on an `isotropic_pair_rule` of degree 64. Where nothing was measured the weight is 0.
+    A table is evaluated at the nodes of `rule`, weighted by solid angle; None: at its own nodes where these are pairs
+    of directions (MERL), else on an `isotropic_pair_rule` of degree 64. Where nothing was measured the weight is 0.
     Scattered samples are as they were measured, and have no rule.
 
     **Raises:** as `read_measured`; ValueError for a rule given along with scattered samples.
