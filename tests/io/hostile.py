@@ -25,16 +25,14 @@ SAME = ("CRLF", "UTF-8 with its mark")
 """Variants of a text file that are as good as the file."""
 
 
-def hostile_variants(
-    content: bytes, *, header: int | None = None, flips: int = 64, seed: int = 0
-) -> dict[str, bytes]:
+def hostile_variants(content: bytes, *, header: int | None = None, flips: int = 64, seed: int = 0) -> dict[str, bytes]:
     """Variants of a good file, by what was done to it.
 
     - `header`: where its samples begin, for the variant without any.
     - `flips`: how many single bits to flip, at places drawn by `seed`: see `flipped` for all.
 
-    Of a text file (no zero byte, and UTF-8) also: the numbers with a point in turn replaced by what is not finite, other
-    encodings, decimal commas, other line ends, and a last line without one.
+    Of a text file (no zero byte, and UTF-8) also: some of its numbers with a point replaced by what is not finite,
+    other encodings, decimal commas, other line ends, and a last line without one.
     """
     rng = np.random.default_rng(seed)
     size = len(content)
