@@ -55,7 +55,7 @@ def measured_fred(path: str | os.PathLike, *, negatives: Negatives = "keep") -> 
     if not len(heads) or heads[0] != 0:
         number, got = (numbers[0], _line(file, numbers[0])) if numbers else (len(file.lines), "the end of the file")
         raise file.error(number, "theta and phi of a specular direction", got)
-    empty = np.flatnonzero(np.diff([*heads, len(numbers)]) == 1)
+    empty = np.flatnonzero(np.diff(np.append(heads, len(numbers))) == 1)
     if len(empty):
         raise file.error(numbers[heads[empty[0]]], "samples after a specular direction", "none")
     row_numbers = [numbers[k] for k in rows]
