@@ -12,6 +12,7 @@ from hshjax.cli._describe import (
     describe_coverage,
     describe_energy,
     describe_file,
+    describe_log_error,
     describe_model,
     numbers,
 )

@@ -7,7 +7,7 @@ from hshjax.io.errors import FileFormatError
 ALWAYS = 128 * 2**20
 """Bytes that any file may become."""
 
-RATIO = 100
+RATIO = 30
 """Beyond that, bytes for each one stored: images and tables compress to a tenth; only constant ones to a thousandth."""
 
 

@@ -5,6 +5,7 @@ Pillow: imagecodecs fills in the rest of a truncated file.
 """
 
 import io
+import os
 import struct
 from os import PathLike
 from pathlib import Path
@@ -17,6 +18,9 @@ from hshjax.io.errors import FileFormatError
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 JPEG_MAGIC = b"\xff\xd8\xff"
+LARGEST = 2**30
+"""Bytes of a file that is read as a whole: more than any camera writes."""
+
 ORIENTATION = 0x0112
 """Tag of EXIF (CIPA DC-008)."""
 
@@ -33,7 +37,11 @@ def read_image(path: str | PathLike) -> np.ndarray:
     file cannot be opened; ImportError without the extra `photographs`.
     """
     path = Path(path)
-    content = path.read_bytes()
+    with path.open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > LARGEST:
+            raise FileFormatError(path, "file", f"an image of at most {LARGEST} bytes", f"{size}")
+        content = file.read()
     if content.startswith(exr.MAGIC):
         return exr.read_exr(path)
     pixels = _decoded(path, content)

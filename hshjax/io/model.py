@@ -13,6 +13,7 @@ import importlib.metadata
 import inspect
 import json
 import math
+import os
 import types as python_types
 import zlib
 from collections.abc import Sequence
@@ -51,6 +52,9 @@ ADDED: dict[str, frozenset[str]] = {
 MAX_DIMENSIONS = 32
 MAX_ORDER = 512
 """Of a basis: 263 169 functions of one direction. What a file asks for must not exhaust a machine."""
+MAX_LINE = 2**26
+"""Bytes of the first line: the tree of a model, without its arrays."""
+
 MAX_EMPTY = 2**31
 """Elements that an empty array would have if its empty axes had length 1."""
 
@@ -91,11 +95,14 @@ def load_model(path: str | PathLike, types: Sequence[type[eqx.Module]] = (), *, 
     **Raises:** FileFormatError for a file that is no such model, is damaged, is of a newer version or names an unknown
     class; ValueError where jax's configuration cannot hold a saved type; OSError where the file cannot be opened.
     """
-    line, newline, blob = Path(path).read_bytes().partition(b"\n")
-    header = _header(path, line, bool(newline))
-    if len(blob) != header["bytes"]:
-        what = "truncated" if len(blob) < header["bytes"] else "trailing bytes"
-        raise FileFormatError(path, "arrays", f"{header['bytes']} bytes after line 1", f"{len(blob)} ({what})")
+    with Path(path).open("rb") as file:
+        line, newline, _ = file.readline(MAX_LINE).partition(b"\n")
+        header = _header(path, line, bool(newline))
+        left = os.fstat(file.fileno()).st_size - file.tell()
+        if left != header["bytes"]:  # before they are read
+            what = "truncated" if left < header["bytes"] else "trailing bytes"
+            raise FileFormatError(path, "arrays", f"{header['bytes']} bytes after line 1", f"{left} ({what})")
+        blob = file.read(left)
     if zlib.crc32(blob) != header["crc32"]:
         raise FileFormatError(path, "arrays", f"bytes of CRC-32 {header['crc32']}", f"{zlib.crc32(blob)}")
     reader = _Reader(path, blob, {t.__name__: t for t in types}, dtype)

@@ -1,7 +1,10 @@
 """Photographs in one numpy archive (.npz), without pickle."""
 
 import os
+import struct
+import tokenize
 import zipfile
+import zlib
 from os import PathLike
 from pathlib import Path
 
@@ -13,6 +16,13 @@ from hshjax.io.errors import FileFormatError
 from hshjax.photographs import Photographs
 
 KEYS = ("images", "mask", "lights", "positions", "irradiance", "normals")
+
+
+DAMAGES = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, KeyError, NotImplementedError, OSError, RuntimeError,
+    MemoryError, OverflowError, SyntaxError, TypeError, tokenize.TokenError,
+)  # fmt: skip
+"""What zipfile and numpy raise for damaged archives, beside ValueError."""
 
 
 def read_photographs_npz(
@@ -50,9 +60,9 @@ def read_photographs_npz(
         except FileFormatError:
             raise
         except ValueError as error:  # objects, and what is no array at all
-            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", str(error)) from error
-        except (zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, MemoryError) as error:
-            raise FileFormatError(path, "archive", "an intact one (.npz)", str(error)) from error
+            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", _said(error)) from error
+        except DAMAGES as error:
+            raise FileFormatError(path, "archive", "an intact one (.npz)", _said(error)) from error
     fields = _Arrays(path, arrays)
     images = fields.get("images", "uf", (3, 4))
     if images is None:
@@ -120,3 +130,9 @@ class _Arrays:
             expected = " or ".join(map(str, shapes)) if shapes else f"{' or '.join(map(str, dimensions))} axes"
             raise FileFormatError(self.path, f"array {key!r}", expected, f"shape {array.shape}")
         return array
+
+
+def _said(error: Exception) -> str:
+    """What a library says, which may quote the file at length."""
+    said = f"{error}" or type(error).__name__
+    return said if len(said) <= 200 else f"{said[:200]}..."

@@ -8,6 +8,7 @@ Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rende
 """
 
 import math
+import os
 import struct
 from os import PathLike
 from pathlib import Path
@@ -19,6 +20,9 @@ from hshjax.io.errors import FileFormatError
 MAGIC = b"tensor_file\0"
 VERSION = (1, 0)
 MAX_DIMENSIONS = 32
+MAX_BYTES = 2**31
+"""Of a file: fifty times the largest ones of the database. All of it is read."""
+
 MAX_EMPTY = 2**31
 """Elements that an empty tensor would have if its empty axes had length 1."""
 
@@ -35,7 +39,13 @@ def read_tensor_file(path: str | PathLike) -> dict[str, np.ndarray]:
 
     **Raises:** FileFormatError where the header or a tensor does not fit the file; OSError where it cannot be opened.
     """
-    data = Path(path).read_bytes()
+    with Path(path).open("rb") as file:
+        data = file.read(len(MAGIC))
+        if data == MAGIC:
+            size = os.fstat(file.fileno()).st_size
+            if size > MAX_BYTES:
+                raise FileFormatError(path, "file", f"at most {MAX_BYTES} bytes", f"{size}")
+            data += file.read()
     cursor = _Cursor(path, data)
     magic = data[: len(MAGIC)]
     if magic != MAGIC:

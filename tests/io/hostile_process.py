@@ -1,0 +1,149 @@
+"""Every hostile variant of every seed, in a process of limited memory: `python -m tests.io.hostile_process FILE`.
+
+FILE gets one JSON object: by seed, the number of variants, and what went wrong, a line each.
+"""
+
+import json
+import os
+import resource
+import struct
+import sys
+import tempfile
+import time
+import traceback
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from hshjax.io import FileFormatError
+from tests.io.hostile import hostile_variants
+from tests.io.seeds import seeds, zip_bomb
+
+MEMORY = 500 * 2**20
+"""Bytes of addresses beyond those of the libraries."""
+
+SECONDS = 1.0
+"""Of processor time, for one file."""
+
+SPARSE = 5 * 10**9
+BOMB = 600 * 2**20
+
+
+def binary_variants(content: bytes) -> Iterator[tuple[str, bytes]]:
+    """Counts and numbers that make no sense, wherever a reader may look for one; another byte order."""
+    for width, words in ((4, (2**31 - 1, 2**32 - 1, 2**31)), (8, (2**63 - 1, 2**64 - 1))):
+        for at in range(0, min(len(content) - width, 160), width):
+            for word in words:
+                number = word.to_bytes(width, "little")
+                yield f"{word} of {width} bytes at {at}", content[:at] + number + content[at + width :]
+        whole = len(content) - len(content) % width
+        swapped = np.frombuffer(content[:whole], f"<u{width}").byteswap().tobytes()
+        yield f"other byte order in words of {width} bytes", swapped + content[whole:]
+    for value in (np.nan, np.inf, -np.inf, 3e38, -3e38):
+        for code in ("<f", "<d"):
+            number = struct.pack(code, value)
+            for part in (0.5, 0.75, 1.0):
+                at = int(part * (len(content) - len(number))) // len(number) * len(number)
+                yield f"{value} at {at}, {code}", content[:at] + number + content[at + len(number) :]
+
+
+def bombs(name: str, content: bytes) -> Iterator[tuple[str, bytes]]:
+    """Files that would become many times as large as they are."""
+    if name == "npz":
+        yield "a bomb", zip_bomb(BOMB)
+    if name == "mat, compressed":
+        packer, zeros = zlib.compressobj(1), bytes(2**20)
+        parts = [packer.compress(struct.pack("<II", 14, BOMB))]
+        parts += [packer.compress(zeros) for _ in range(BOMB // len(zeros))]
+        body = b"".join(parts) + packer.flush()
+        yield "a bomb", content[:128] + struct.pack("<II", 15, len(body)) + body
+    if name == "png":
+        for columns, rows in ((30000, 30000), (2**31 - 1, 1), (2**31 - 1, 2**31 - 1)):
+            head = b"IHDR" + struct.pack(">II", columns, rows) + content[24:29]
+            checked = head + struct.pack(">I", zlib.crc32(head))
+            yield f"{columns} x {rows} pixels", content[:12] + checked + content[33:]
+    if name == "exr":
+        mark = b"dataWindow\0box2i\0"
+        at, far = content.index(mark) + len(mark) + 4, 2**31 - 1
+        for window in ((0, 0, 29999, 29999), (0, 0, far, 0), (-far - 1, -far - 1, far, far), (5, 5, 0, 0)):
+            yield f"dataWindow {window}", content[:at] + struct.pack("<4i", *window) + content[at + 16 :]
+
+
+def wrong(read, path: Path, *, refused: bool = False) -> str | None:
+    """What a reader does with a file that it must not do; None if nothing."""
+    begin = time.process_time()
+    try:
+        read(path)
+        error = None
+    except FileFormatError as found:
+        error = str(found)
+        if "\n" in error or not error.startswith(f"{path}: ") or len(error) > 1000:
+            return f"no sentence: {error[:300]!r}"
+    except OSError as found:
+        if path.is_file():
+            return f"an OSError of a file that is there: {found}"
+        error = str(found)
+    except BaseException as found:
+        return f"{type(found).__name__}: {found} at {traceback.extract_tb(found.__traceback__)[-1]}"
+    seconds = time.process_time() - begin
+    if seconds > SECONDS:
+        return f"{seconds:.2f} s"
+    return "it was read" if refused and error is None else None
+
+
+def main() -> None:
+    jax.config.update("jax_enable_x64", True)
+    report: dict[str, dict] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        path, found = Path(folder) / "file", seeds()
+        for content, readers in found.values():  # good ones: everything is imported, and compiled what is
+            path.write_bytes(content)
+            for read in readers:
+                read(path)
+        with open("/proc/self/statm") as status:
+            pages = int(status.read().split()[0])
+        limit = pages * resource.getpagesize() + MEMORY
+        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+        for name, (content, readers) in found.items():
+            count, faults = 0, []
+            variants = [*hostile_variants(content).items(), *binary_variants(content)]
+            for what, changed in variants:
+                path.write_bytes(changed)
+                for read in readers:
+                    count += 1
+                    fault = wrong(read, path, refused=what in ("empty", "zeros"))
+                    if fault:
+                        faults.append(f"{what}: {fault}")
+            for head in (content, content[:64], b""):
+                path.write_bytes(head)
+                os.truncate(path, SPARSE)
+                for read in readers:
+                    count += 1
+                    fault = wrong(read, path, refused=head != content)  # some formats allow bytes at the end
+                    if fault:
+                        faults.append(f"{len(head)} bytes in 5 GB: {fault}")
+            report[name] = {"variants": count, "faults": faults}
+            path.unlink()
+            path.mkdir()
+            for read in readers:
+                fault = wrong(read, path, refused=True)
+                if fault:
+                    faults.append(f"a directory: {fault}")
+            path.rmdir()
+        for name, (content, readers) in found.items():
+            for what, changed in bombs(name, content):
+                path.write_bytes(changed)
+                del changed
+                for read in readers:
+                    report[name]["variants"] += 1
+                    fault = wrong(read, path, refused=True)
+                    if fault:
+                        report[name]["faults"].append(f"{what}: {fault}")
+    Path(sys.argv[1]).write_text(json.dumps(report))  # libraries print on standard output
+
+
+if __name__ == "__main__":
+    main()
