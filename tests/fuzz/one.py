@@ -1,0 +1,105 @@
+"""One reader under random damage: `python -m tests.fuzz.one NAME SECONDS RUNS`."""
+
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+FAULTS = Path(".fuzz")
+ROUND = 100
+"""Examples that Hypothesis draws at once."""
+
+LARGEST = 2**16
+"""Bytes of an input."""
+
+
+def check(name: str, readers: tuple[Callable, ...], path: Path) -> Callable[[bytes], None]:
+    """What an input must pass: AssertionError where a reader does what it must not do, after keeping the input."""
+    from tests.io.hostile_process import wrong
+
+    def passes(content: bytes) -> None:
+        path.write_bytes(content)
+        for read in readers:
+            fault = wrong(read, path)
+            if fault:
+                FAULTS.mkdir(exist_ok=True)
+                kept = FAULTS / f"{name.replace(', ', '-')}-{zlib.crc32(content):08x}"
+                kept.write_bytes(content)
+                raise AssertionError(f"{kept}: {fault}")
+
+    return passes
+
+
+def led(name: str, seconds: int, runs: int) -> None:
+    """By coverage. Ends the process."""
+    import atheris
+
+    with atheris.instrument_imports(include=["hshjax.io"]):
+        import hshjax.io  # noqa: F401
+
+    content, readers, folder = prepared(name)
+    corpus = Path(folder) / "corpus"
+    corpus.mkdir()
+    (corpus / "seed").write_bytes(content)
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", "-timeout=10", "-rss_limit_mb=4096"]
+    passes = check(name, readers, Path(folder) / "file")
+    atheris.Setup([sys.argv[0], *limits, f"-max_len={LARGEST}", "-artifact_prefix=/dev/null", str(corpus)], passes)
+    atheris.Fuzz()
+
+
+def drawn(name: str, seconds: int, runs: int) -> None:
+    """By Hypothesis: pieces of the good file, replaced, repeated or left out."""
+    from hypothesis import HealthCheck, given, seed, settings, strategies as st
+
+    content, readers, folder = prepared(name)
+    passes, end, count = check(name, readers, Path(folder) / "file"), time.monotonic() + seconds, 0
+    word = st.one_of(
+        st.binary(max_size=16),
+        st.sampled_from([b"\xff\xff\xff\x7f", b"\xff" * 8, bytes(8), b"nan", b"-1", b"1e999", b"\n", b",", b"0" * 400]),
+    )
+    place = st.integers(0, len(content))
+    damage = st.lists(st.tuples(place, st.integers(0, 64), word, st.integers(0, 3)), min_size=1, max_size=6)
+
+    while time.monotonic() < end and count < runs:  # Hypothesis has no limit of time: rounds of few examples
+
+        @seed(count)
+        @settings(max_examples=ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+        @given(damage)
+        def run(damages):
+            changed = content
+            for at, length, new, times in damages:
+                at = min(at, len(changed))
+                changed = changed[:at] + new * times + changed[at + length :]
+            passes(changed[:LARGEST])
+
+        run()
+        count += ROUND
+    print(f"Done {count} runs, drawn by Hypothesis")
+
+
+def prepared(name: str) -> tuple[bytes, tuple[Callable, ...], str]:
+    """The good file, its readers, which have read it once, and a folder to write in, in memory where there is one."""
+    import jax
+
+    from tests.io.seeds import seeds
+
+    jax.config.update("jax_enable_x64", True)
+    content, readers = seeds()[name]
+    folder = tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
+    path = Path(folder) / "file"
+    path.write_bytes(content)
+    for read in readers:
+        read(path)
+    return content, readers, folder
+
+
+if __name__ == "__main__":
+    name, seconds, runs = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    try:
+        import atheris  # noqa: F401
+    except ImportError:
+        drawn(name, seconds, runs)
+    else:
+        led(name, seconds, runs)
