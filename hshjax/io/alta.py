@@ -66,7 +66,7 @@ def measured_alta(path: str | os.PathLike, *, negatives: Negatives = "keep") -> 
     header, first = _header(file)
     parameters, name = _parameters(file, header)
     inputs, outputs = _dimensions(file, header, parameters, name)
-    channels, units, cosine_included = _values(file, header, outputs)
+    output = _output(file, header, outputs)
     notes = [parameters.note] if parameters.note else []
     extra = _intervals(file, header, outputs)
     if extra:
@@ -81,6 +81,9 @@ def measured_alta(path: str | os.PathLike, *, negatives: Negatives = "keep") -> 
             raise file.error(number, f"{len(table)} samples, as follow", str(count))
     if not len(table):
         raise file.error(len(file.lines), "samples after the header", "none")
+    channels, units = OUTPUTS[output]
+    if channels is None:
+        channels = ("value",) if outputs == 1 else tuple(f"value {k}" for k in range(1, outputs + 1))
     coordinates, value = table[:, :inputs], table[:, inputs : inputs + outputs]
     coordinates = _checked(file, numbers, coordinates, parameters)
     wi, wo = parameters.pair(coordinates)
@@ -96,7 +99,7 @@ def measured_alta(path: str | os.PathLike, *, negatives: Negatives = "keep") -> 
         value[exists],
         found,
         negatives=negatives,
-        cosine_included=cosine_included,
+        cosine_included=output == "INV_STERADIAN_COSINE_FACTOR",
         isotropic=parameters.isotropic,
     )
 
@@ -165,17 +168,15 @@ def _dimensions(file: Lines, header: Header, parameters: Parametrisation, name: 
     return inputs, outputs
 
 
-def _values(file: Lines, header: Header, outputs: int) -> tuple[tuple[str, ...], str, bool]:
-    """Names of channels, units, and whether the cosine is in."""
+def _output(file: Lines, header: Header, outputs: int) -> str:
+    """What the values are: a name of OUTPUTS."""
     number, name = header.get("PARAM_OUT", (header["DIM"][0], "UNKNOWN_OUTPUT"))
     if name not in OUTPUTS:
         raise file.error(number, f"values of a BRDF: one of {', '.join(OUTPUTS)}", shown(name))
-    channels, units = OUTPUTS[name]
-    if channels is None:
-        channels = ("value",) if outputs == 1 else tuple(f"value {k}" for k in range(1, outputs + 1))
-    if len(channels) != outputs:
+    channels, _ = OUTPUTS[name]
+    if channels is not None and len(channels) != outputs:
         raise file.error(header["DIM"][0], f"{len(channels)} values, as {name} has", str(outputs))
-    return channels, units, name == "INV_STERADIAN_COSINE_FACTOR"
+    return name
 
 
 def _intervals(file: Lines, header: Header, outputs: int) -> int:

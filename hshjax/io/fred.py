@@ -55,13 +55,12 @@ def measured_fred(path: str | os.PathLike, *, negatives: Negatives = "keep") -> 
     if not len(heads) or heads[0] != 0:
         number, got = (numbers[0], _line(file, numbers[0])) if numbers else (len(file.lines), "the end of the file")
         raise file.error(number, "theta and phi of a specular direction", got)
+    row_numbers, head_numbers = [numbers[k] for k in rows], [numbers[k] for k in heads]
+    specular = _directions(file, head_numbers, file.table(head_numbers, 2), angles)
     empty = np.flatnonzero(np.diff(np.append(heads, len(numbers))) == 1)
     if len(empty):
-        raise file.error(numbers[heads[empty[0]]], "samples after a specular direction", "none")
-    row_numbers = [numbers[k] for k in rows]
-    head_numbers = [numbers[k] for k in heads]
+        raise file.error(head_numbers[empty[0]], "samples after a specular direction", "none")
     table = file.table(row_numbers, 3)
-    specular = _directions(file, head_numbers, file.table(head_numbers, 2), angles)
     wi = mirrored(specular)[np.searchsorted(heads, rows) - 1]
     wo = _directions(file, row_numbers, table[:, :2], angles)
     value = table[:, 2]
