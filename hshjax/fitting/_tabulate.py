@@ -8,10 +8,10 @@ import numpy as np
 
 from hshjax._typing import Float, PairFunction
 from hshjax.brdfs._half_vector_table import HalfVectorTable
+from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._tabulated import TabulatedBRDF
 from hshjax.fitting._blocks import evaluated
 from hshjax.fitting._compact import HORIZON
-from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.fitting._misfit import ratio
 from hshjax.geometry import from_half_difference
 

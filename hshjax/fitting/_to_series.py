@@ -10,9 +10,9 @@ import numpy as np
 from hshjax._typing import Array, Float, PairFunction
 from hshjax.bases import AbstractBasis, AbstractProductBasis, from_matrix, to_matrix
 from hshjax.bases._base import matmul
+from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._incidence import WAYS, Chart, Nodes, Way, exit_nodes, incidence_nodes, incident
-from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._result import Fit

@@ -16,3 +16,4 @@ from hshjax.io.photographs_npz import read_photographs_npz as read_photographs_n
 from hshjax.io.ply import write_ply as write_ply
 from hshjax.io.rgl import read_rgl as read_rgl
 from hshjax.io.tensor_file import read_tensor_file as read_tensor_file
+from hshjax.io.utia import measured_utia as measured_utia, read_utia as read_utia
