@@ -1,6 +1,7 @@
 """BRDFs: linear in a basis, analytic, sums of those."""
 
 from hshjax._fields import bounded as bounded
+from hshjax.brdfs._angle_table import AngleTable as AngleTable
 from hshjax.brdfs._base import AbstractBRDF as AbstractBRDF, ScaledBRDF as ScaledBRDF, SumBRDF as SumBRDF
 from hshjax.brdfs._diffuse import Lambert as Lambert, OrenNayar as OrenNayar
 from hshjax.brdfs._fresnel import (

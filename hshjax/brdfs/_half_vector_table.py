@@ -1,7 +1,5 @@
 """Isotropic materials as a table over half and difference angles: what databases hold, and what is quick to look up."""
 
-from itertools import product
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,9 +7,10 @@ import numpy as np
 from jax.core import Tracer
 
 from hshjax._fields import floating
-from hshjax._typing import Array, Bool, Float, Int
+from hshjax._typing import Array, Bool, Float
 from hshjax.bases import IdentityWarp
 from hshjax.bases._half_vector import half_chart
+from hshjax.brdfs._cells import arcs, cell, check_nodes, interpolated, periodic_cell, root, walls
 from hshjax.brdfs._tabulated import TabulatedBRDF
 from hshjax.samples import Samples
 
@@ -36,8 +35,8 @@ class HalfVectorTable(TabulatedBRDF):
 
     The grid of a MERL file is (i/90)² π/2, i degrees, i degrees: 90 x 90 x 180 nodes.
 
-    - `measured`: optional, `(theta_h, theta_d, phi_d)`, which nodes hold a value. Of the others nothing is read: between
-      nodes the weights of the measured ones are scaled to a sum of 1, and where a cell has none the BRDF is 0.
+    - `measured`: optional, `(theta_h, theta_d, phi_d)`, which nodes hold a value. Of the others nothing is read:
+      between nodes the weights of the measured ones are scaled to a sum of 1, and where a cell has none the BRDF is 0.
 
     **Raises:** ValueError for values that do not fit the nodes, or nodes out of order or range.
 
@@ -64,7 +63,7 @@ class HalfVectorTable(TabulatedBRDF):
             raise ValueError(f"a table needs two nodes along θ_h and θ_d and one along φ_d, got {nodes}")
         for name, end, closed in (("theta_h", np.pi / 2, True), ("theta_d", np.pi / 2, True), ("phi_d", np.pi, False)):
             if not isinstance(getattr(self, name), Tracer):
-                _check_nodes(name, np.asarray(getattr(self, name), np.float64), end, closed=closed)
+                check_nodes(name, np.asarray(getattr(self, name), np.float64), end, closed=closed)
 
     def settled(self) -> "HalfVectorTable":
         """The same table with the mean over φ_d where θ_h or θ_d is 0, and φ_d means nothing; of measured nodes, if any
@@ -115,7 +114,8 @@ class HalfVectorTable(TabulatedBRDF):
         used = (wi[..., 2] > GRAZING) & (wo[..., 2] > GRAZING) & (share > 0)
         weight = (half[..., None] * share)[used].astype(values.dtype)
         wi, wo = (w[used].astype(values.dtype, copy=False) for w in (wi, wo))
-        return Samples.scattered(wi, wo, value[used].astype(values.dtype, copy=False), weight, isotropic=True)
+        value = value[used].astype(values.dtype, copy=False)
+        return Samples.scattered(*map(jnp.asarray, (wi, wo, value, weight)), isotropic=True)
 
     def _measured_on_host(self) -> np.ndarray:
         return np.ones(self.values.shape[:3], bool) if self.measured is None else np.asarray(self.measured)
@@ -125,24 +125,11 @@ class HalfVectorTable(TabulatedBRDF):
         theta_h, theta_d, phi_d = half_difference_angles(wi.reshape(-1, 3), wo.reshape(-1, 3))
         half, difference, azimuth = jax.lax.stop_gradient((self.theta_h, self.theta_d, self.phi_d))
         ends = (
-            _cell(jnp.sqrt(half), _root(theta_h)),
-            _cell(difference, theta_d),
-            _periodic_cell(azimuth, phi_d),
+            cell(jnp.sqrt(half), root(theta_h)),
+            cell(difference, theta_d),
+            periodic_cell(azimuth, phi_d, np.pi),
         )
-        channels = self.values.shape[3]
-        total = jnp.zeros((theta_h.size, channels), wi.dtype)
-        if self.measured is None:
-            for (h, at_h), (d, at_d), (f, at_f) in product(*ends):
-                total += (at_h * at_d * at_f)[:, None] * self.values[h, d, f]
-            return total.reshape(*batch, channels)
-        found = jnp.zeros(theta_h.size, wi.dtype)
-        for (h, at_h), (d, at_d), (f, at_f) in product(*ends):
-            there = self.measured[h, d, f]
-            weight = jnp.where(there, at_h * at_d * at_f, 0)
-            total += weight[:, None] * jnp.where(there[:, None], self.values[h, d, f], 0)
-            found += weight
-        total = jnp.where(found[:, None] > 0, total / jnp.where(found > 0, found, 1)[:, None], 0)
-        return total.reshape(*batch, channels)
+        return interpolated(self.values, self.measured, ends).reshape(*batch, self.values.shape[3])
 
 
 def half_difference_angles(
@@ -163,8 +150,8 @@ def half_difference_angles(
 
 
 def _node_directions(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """wi and wo, `(theta_h, theta_d, phi_d, 3)`, of the nodes, φ_h = 0: `from_half_difference`, but of three axes, whose
-    sines are so many fewer.
+    """wi and wo, `(theta_h, theta_d, phi_d, 3)`, of the nodes, φ_h = 0: as `from_half_difference`, but of three axes,
+    whose sines are so many fewer.
     """
     h, d, f = theta_h[:, None, None], theta_d[None, :, None], phi_d[None, None, :]
     x, y, z = np.sin(d) * np.cos(f), np.sin(d) * np.sin(f), np.cos(d)
@@ -178,11 +165,10 @@ def _node_directions(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
 
 def _solid_angles(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the cells, as factors `(theta_h, theta_d)` and `(phi_d,)`, their product in sr²: see `node_samples`."""
-    half = -np.diff(np.cos(_walls(np.sqrt(theta_h), np.sqrt(np.pi / 2)) ** 2))
-    difference = 2 * np.diff(np.sin(_walls(theta_d, np.pi / 2)) ** 2)
-    after = np.diff(np.append(phi_d, phi_d[0] + np.pi))
-    # Half of the gap on either side, twice: for φ_d and for φ_d + π.
-    return 2 * np.pi * half[:, None] * difference, after + np.roll(after, 1)
+    half = -np.diff(np.cos(walls(np.sqrt(theta_h), 0, np.sqrt(np.pi / 2)) ** 2))
+    difference = 2 * np.diff(np.sin(walls(theta_d, 0, np.pi / 2)) ** 2)
+    # 2π for φ_h; twice, for φ_d and for φ_d + π.
+    return 2 * np.pi * half[:, None] * difference, 2 * arcs(phi_d, np.pi)
 
 
 def _mirrored(phi_d: np.ndarray) -> np.ndarray:
@@ -193,49 +179,8 @@ def _mirrored(phi_d: np.ndarray) -> np.ndarray:
     return np.where(gap[own, nearest] < 1e-5, nearest, own)
 
 
-def _walls(nodes: np.ndarray, end: float) -> np.ndarray:
-    return np.concatenate([[0], (nodes[1:] + nodes[:-1]) / 2, [end]])
-
-
 def _angle(o: Float[Array, " n"], tiny: float) -> Float[Array, " n"]:
     """θ of o = 1 - cos θ."""
     tilted = o > tiny
     safe = jnp.where(tilted, o, 1)
     return jnp.where(tilted, jnp.arctan2(jnp.sqrt(safe * (2 - safe)), 1 - safe), 0)
-
-
-def _root(theta: Float[Array, " n"]) -> Float[Array, " n"]:
-    positive = theta > 0
-    return jnp.where(positive, jnp.sqrt(jnp.where(positive, theta, 1)), 0)
-
-
-End = tuple[Int[Array, " n"], Float[Array, " n"]]
-
-
-def _cell(nodes: Float[Array, " nodes"], x: Float[Array, " n"]) -> tuple[End, End]:
-    """The nodes on either side of x with their weights; beyond the ends, all of it the last node's."""
-    below = jnp.searchsorted(nodes[1:-1], x, side="right", method="scan").astype(jnp.int32)
-    low, high = nodes[below], nodes[below + 1]
-    fraction = jnp.clip((x - low) / (high - low), 0, 1)
-    return (below, 1 - fraction), (below + 1, fraction)
-
-
-def _periodic_cell(nodes: Float[Array, " nodes"], phi: Float[Array, " n"]) -> tuple[End, End]:
-    """The same on the circle of length π; with a single node, that one twice."""
-    count = nodes.size
-    below = jnp.searchsorted(nodes, phi, side="right", method="scan").astype(jnp.int32) - 1
-    below = jnp.where(below < 0, count - 1, below)
-    above = jnp.where(below == count - 1, 0, below + 1)
-    gap = jnp.mod(nodes[above] - nodes[below], jnp.pi) if count > 1 else jnp.pi
-    fraction = jnp.mod(phi - nodes[below], jnp.pi) / gap
-    return (below, 1 - fraction), (above, fraction)
-
-
-def _check_nodes(name: str, nodes: np.ndarray, end: float, *, closed: bool) -> None:
-    slack = 1e-6 * end  # a right angle in float32 may lie above one in float64
-    last = nodes[-1] <= end + slack if closed else nodes[-1] < end - slack
-    if not (nodes[0] >= 0 and last and np.all(np.diff(nodes) > 0)):
-        bracket = "]" if closed else ")"
-        raise ValueError(
-            f"{name} of a table must rise within [0, {end:.6g}{bracket}, got {nodes[0]:.6g} ... {nodes[-1]:.6g}"
-        )

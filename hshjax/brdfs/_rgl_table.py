@@ -1,19 +1,26 @@
-"""Isotropic materials of the RGL database: tables in a parameterisation that adapts to the material."""
+"""Materials of the RGL database: tables in a parameterisation that adapts to the material."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int, Real
+from hshjax.brdfs._cells import cell
 from hshjax.brdfs._tabulated import TabulatedBRDF
 
 
 class RGLTable(TabulatedBRDF):
     """ρ cos θ_o = f(s; θ_i) D(u_h) / (4 σ(u_i)),   s = the distribution of visible normals, inverted at u_h.
 
-    u = (sqrt(2 θ/π), (φ + π)/(2π)); u_h takes φ_h - φ_i, the material being isotropic. D is the distribution of
+    u = (sqrt(2 θ/π), (φ + π)/(2π)); u_h takes φ_h - φ_i where the material is isotropic. D is the distribution of
     normals, σ its projected area. s in [0, 1]² is (CDF of θ_h given φ_h, CDF of φ_h) under the distribution of visible
     normals at θ_i, so that highlights of any width fill the table f. Tables are bilinear over [0, 1]², linear in θ_i.
+
+    With `phi_i`, slices are those of every φ_i, θ_i after θ_i, and tables are linear in φ_i as well, the last one
+    holding beyond either end. More than two azimuths make the material anisotropic: u_h takes φ_h itself. If they span
+    half a turn, from -π on, the material is taken to be unchanged by half a turn; if a quarter, by a mirror in x and
+    one in y: pairs are brought to where the tables are.
 
     Directions within rounding of the pole count as the pole, with azimuth and derivative 0. Directions that were not
     measured (grazing ones above all) are extrapolated by the database.
@@ -23,7 +30,8 @@ class RGLTable(TabulatedBRDF):
     **Raises:** ValueError for tables that do not fit each other: lookups past an end would be clamped, not told.
 
     Source: Dupuy and Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rendering, ACM TOG
-    37(6), 2018. That wi is the direction of incidence of the tables was settled against Mitsuba 3 (`measured`).
+    37(6), 2018. That wi is the direction of incidence of the tables, and what the span of φ_i means, was settled
+    against Mitsuba 3 (`measured`).
     """
 
     theta_i: Float[Array, " slices"]
@@ -38,12 +46,16 @@ class RGLTable(TabulatedBRDF):
     channel_names: tuple[str, ...] = eqx.field(static=True, default=("R", "G", "B"))
     unmeasured: int | None = eqx.field(static=True, default=None)
     """Entries of one channel of `values` that the database filled in (its `valid` mask); None if it does not say."""
+    phi_i: Float[Array, " turns"] | None = None
 
     def __check_init__(self):
         slices, azimuths, elevations = self.density.shape
         rows, columns = self.values.shape[-2:]
+        turns = 1 if self.phi_i is None else self.phi_i.size
+        if self.phi_i is not None and turns < 2:
+            raise ValueError("phi_i of a table holds two azimuths or more; None for one")
         expected = {
-            "theta_i": (slices,),
+            "theta_i": (slices // turns if slices % turns == 0 else -1,),
             "conditional": (slices, azimuths, elevations),
             "row": (slices, azimuths),
             "marginal": (slices, azimuths),
@@ -54,7 +66,7 @@ class RGLTable(TabulatedBRDF):
                 raise ValueError(
                     f"{name} of a table of {slices} slices must have shape {shape}, got {getattr(self, name).shape}"
                 )
-        if min(slices, azimuths, elevations, rows, columns, *self.sigma.shape, *self.ndf.shape) < 2:
+        if min(self.theta_i.size, azimuths, elevations, rows, columns, *self.sigma.shape, *self.ndf.shape) < 2:
             raise ValueError("tables need two entries along every axis to interpolate between")
 
     @classmethod
@@ -69,9 +81,11 @@ class RGLTable(TabulatedBRDF):
         description: str = "",
         channel_names: tuple[str, ...] = ("R", "G", "B"),
         unmeasured: int | None = None,
+        phi_i: np.ndarray | None = None,
     ) -> "RGLTable":
-        """The tables as the files hold them, without the axis φ_i: vndf `(slices, azimuths, elevations)` need not be
-        normalised. CDFs are summed on the host in float64 and kept in the default float of the caller's configuration.
+        """The tables as the files hold them, φ_i and θ_i in one axis of slices: vndf `(slices, azimuths, elevations)`
+        need not be normalised. `phi_i` of one azimuth, or None: isotropic. CDFs are summed on the host in float64 and
+        kept in the default float of the caller's configuration.
         """
         density = np.asarray(vndf, np.float64)
         conditional = _cumulative(density)
@@ -90,37 +104,60 @@ class RGLTable(TabulatedBRDF):
             description=description,
             channel_names=channel_names,
             unmeasured=unmeasured,
+            phi_i=None if phi_i is None or np.size(phi_i) == 1 else jnp.asarray(phi_i, dtype),
         )
+
+    @property
+    def _relative(self) -> bool:
+        """Whether azimuths of the half vector count from that of wi."""
+        return self.phi_i is None or self.phi_i.size <= 2
 
     def formula(self, wi, wo):
         shape = wi.shape[:-1]
-        wi, wo = wi.reshape(-1, 3), wo.reshape(-1, 3)
+        wi, wo = self._brought(wi.reshape(-1, 3), wo.reshape(-1, 3))
         h = wi + wo  # not normalised: only its angles are used
-        slice_, t = self._slice(wi)
-        u_i = jnp.stack([_elevation(wi), _azimuth(jnp.zeros_like(wi).at[:, 0].set(1), wi)], axis=-1)
-        u_h = jnp.stack([_elevation(h), _azimuth(wi, h)], axis=-1)
-        s = self._invert(u_h, slice_, t)
+        x_axis = jnp.zeros_like(wi).at[:, 0].set(1)
+        slices = self._slices(wi)
+        u_i = jnp.stack([_elevation(wi), _azimuth(x_axis, wi)], axis=-1)
+        u_h = jnp.stack([_elevation(h), _azimuth(wi if self._relative else x_axis, h)], axis=-1)
+        s = self._invert(u_h, slices)
         jacobian = _bilinear(self.ndf[None], u_h) / (4 * _bilinear(self.sigma[None], u_i))
-        value = (1 - t) * _bilinear(self.values, s, slice_) + t * _bilinear(self.values, s, slice_ + 1)
+        value = sum(part[:, None] * _bilinear(self.values, s, slice_) for slice_, part in slices)
         return (value * jacobian / wo[:, 2:]).reshape(*shape, value.shape[-1])
 
-    def _slice(self, wi: Float[Array, "n 3"]) -> tuple[Int[Array, " n"], Float[Array, "n 1"]]:
-        """The slice of θ_i below, and the fraction of the way to the next."""
+    def _brought(self, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> tuple[Array, Array]:
+        """The pair turned or mirrored to where wi lies within the azimuths of the tables."""
+        if self.phi_i is None:
+            return wi, wo
+        span = jax.lax.stop_gradient(self.phi_i[-1] - self.phi_i[0])
+        parts = jnp.round(2 * jnp.pi / span)
+        above, right = (jnp.where(wi[:, k] >= 0, -1, 1).astype(wi.dtype) for k in (1, 0))
+        x, y = jnp.where(parts == 4, right, above), above
+        x, y = (jnp.where(parts >= 2, sign, 1) for sign in (x, y))
+        signs = jnp.stack([x, y, jnp.ones_like(x)], axis=-1)
+        return signs * wi, signs * wo
+
+    def _slices(self, wi: Float[Array, "n 3"]) -> list[tuple[Int[Array, " n"], Float[Array, " n"]]]:
+        """The slices between which wi lies, with their weights."""
         at_pole = _at_pole(wi)
         theta = jnp.where(at_pole, 0, jnp.arctan2(jnp.sqrt(jnp.where(at_pole, 1, _rim_square(wi))), wi[:, 2]))
-        below = jnp.searchsorted(self.theta_i[1:-1], theta, side="right", method="compare_all")
-        low, high = self.theta_i[below], self.theta_i[below + 1]
-        return below, jnp.clip((theta - low) / (high - low), 0, 1)[:, None]
+        elevations = cell(self.theta_i, theta)
+        if self.phi_i is None:
+            return list(elevations)
+        phi = jnp.where(at_pole, 0, jnp.arctan2(jnp.where(at_pole, 0, wi[:, 1]), jnp.where(at_pole, 1, wi[:, 0])))
+        count = self.theta_i.size
+        return [(p * count + t, at_p * at_t) for p, at_p in cell(self.phi_i, phi) for t, at_t in elevations]
 
-    def _invert(self, u: Float[Array, "n 2"], slice_: Int[Array, " n"], t: Float[Array, "n 1"]) -> Float[Array, "n 2"]:
+    def _invert(
+        self, u: Float[Array, "n 2"], slices: list[tuple[Int[Array, " n"], Float[Array, " n"]]]
+    ) -> Float[Array, "n 2"]:
         """(CDF of elevation given azimuth, CDF of azimuth) of a density that is bilinear between its vertices."""
-        t = t[:, 0]
         azimuths, elevations = self.density.shape[1:]
         i, x = _cell(u[:, 0], elevations)
         j, y = _cell(u[:, 1], azimuths)
 
         def between_slices(table, *index):
-            return (1 - t) * table[(slice_, *index)] + t * table[(slice_ + 1, *index)]
+            return sum(part * table[(slice_, *index)] for slice_, part in slices)
 
         def between_rows(table, *index):
             return (1 - y) * between_slices(table, j, *index) + y * between_slices(table, j + 1, *index)

@@ -10,7 +10,9 @@ Gram matrix. Some thousand moments (order 8) are much less work than the product
 with Legendre polynomials P of the radial variables, from which those of every m follow on the host's side.
 """
 
+import os
 from functools import lru_cache, partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax
@@ -25,11 +27,13 @@ from hshjax.bases._isotropic import _difference_chart, _factors
 from hshjax.brdfs._linear import cosine_power
 from hshjax.fitting._blocks import fold
 from hshjax.fitting._norms import Norm
-from hshjax.quadrature import isotropic_pair_rule
+from hshjax.quadrature import PairRule, isotropic_pair_rule
 from hshjax.samples import Samples
 
 BLOCK = 1024
 """Samples a block: what is formed of them stays in the cache."""
+
+CORES = os.cpu_count() or 1
 
 
 class Equations(NamedTuple):
@@ -45,13 +49,26 @@ def has_moments(basis: object) -> bool:
     return isinstance(basis, IsotropicBasis) and isinstance(basis.basis, HSH | SHR | Zernike)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
 def normal_equations(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Equations:
-    """Of the weighted least squares of `project`, for a basis that `has_moments`."""
-    twice = IsotropicBasis(_doubled(basis.basis), basis.bilateral)
-    channels, once_parts, twice_parts = samples.channels, _bands(basis), _bands(twice)
-    degrees = twice.basis.radial_counts()[0]
-    legendre = _legendre(degrees)
+    """Of the weighted least squares of `project`, for a basis that `has_moments`. Not under `jax.jit`: parts of the
+    samples are summed at the same time, one a core.
+    """
+    edges = np.linspace(0, samples.size, min(CORES, -(-samples.size // BLOCK)) + 1).astype(int).tolist()
+    parts = [_moments(basis, norm, _part(samples, *ends)) for ends in pairwise(edges)]
+    return _equations(basis, jnp.stack(parts), samples.channels, *_rule_rows(basis))
+
+
+def _part(samples: Samples, start: int, stop: int) -> Samples:
+    wi, wo, value, weight = (a[start:stop] for a in (samples.wi, samples.wo, samples.value, samples.weight))
+    return Samples(wi, wo, value, weight, None, samples.isotropic)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _moments(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Float[Array, " sums"]:
+    """Σ w f² per channel, and the sums of Legendre polynomials: with w for twice the order, with w f for the order."""
+    twice = _twice(basis)
+    once_parts, twice_parts = _bands(basis), _bands(twice)
+    legendre = _legendre(twice.basis.radial_counts()[0])
 
     def visit(sums, wi, wo, value, weight):
         weight = weight * norm.fit_weight(wi, wo)
@@ -66,14 +83,33 @@ def normal_equations(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Equ
         found += [_band_sums(band, azimuth, pi, po, weighted).ravel() for band in once_parts]
         return sums + jnp.concatenate(found)
 
+    return fold(samples, BLOCK, jnp.zeros(sum(_sizes(basis, samples.channels)), samples.value.dtype), visit)
+
+
+def _sizes(basis: IsotropicBasis, channels: int) -> list[int]:
+    """Of the parts of the sums, in their order."""
     turns = 1 if basis.bilateral else 2
-    sizes = [turns * (band.stop - band.start) * band.degrees**2 for band in twice_parts + once_parts]
-    sizes[len(twice_parts) :] = [channels * size for size in sizes[len(twice_parts) :]]
-    sums = fold(samples, BLOCK, jnp.zeros(channels + sum(sizes), samples.value.dtype), visit)
-    square, *parts = jnp.split(sums, np.cumsum([channels, *sizes])[:-1].tolist())
-    moments = _inner(twice, twice_parts, parts[: len(twice_parts)], 1)[:, 0]
-    right = _inner(basis, once_parts, parts[len(twice_parts) :], channels)
-    return Equations(_gram(basis, twice, moments), right, square)
+    sizes = [[turns * (band.stop - band.start) * band.degrees**2 for band in _bands(b)] for b in (_twice(basis), basis)]
+    return [channels, *sizes[0], *(channels * size for size in sizes[1])]
+
+
+@partial(jax.jit, static_argnums=(0, 2))
+def _equations(
+    basis: IsotropicBasis,
+    sums: Float[Array, "parts sums"],
+    channels: int,
+    wi: Array,
+    wo: Array,
+    weight: Array,
+    rows: Array,
+) -> Equations:
+    twice = _twice(basis)
+    edges = np.cumsum(_sizes(basis, channels))[:-1].tolist()
+    square, *parts = jnp.split(jnp.sum(sums, axis=0), edges)
+    bands = _bands(twice)
+    moments = _inner(twice, bands, parts[: len(bands)], 1)[:, 0]
+    right = _inner(basis, _bands(basis), parts[len(bands) :], channels)
+    return Equations(_gram(twice, moments, (wi, wo, weight), rows), right, square)
 
 
 class Band(NamedTuple):
@@ -89,7 +125,7 @@ def _bands(pairs: IsotropicBasis) -> list[Band]:
     counts = pairs.basis.radial_counts()
     half = (len(counts) + 1) // 2
     edges = sorted({0, half, len(counts)})
-    return [Band(start, stop, counts[start]) for start, stop in zip(edges, edges[1:], strict=False)]
+    return [Band(start, stop, counts[start]) for start, stop in pairwise(edges)]
 
 
 def _band_sums(band: Band, azimuth: Array, pi: Array, po: Array, weight: Array) -> Array:
@@ -122,19 +158,42 @@ def _inner(
     return _column(n.norm, table) * (there + _column(sign, table) * back)
 
 
-def _gram(basis: IsotropicBasis, twice: IsotropicBasis, moments: Float[Array, " modes"]) -> Array:
-    """BᵀWB on an exact rule, whose weights have the moments."""
-    rule = isotropic_pair_rule(2 * twice.basis.order, dtype=moments.dtype)
+def _gram(twice: IsotropicBasis, moments: Float[Array, " modes"], nodes: tuple[Array, ...], rows: Array) -> Array:
+    """BᵀWB, with `rows` B at the `nodes` wi, wo, weight of a rule, and weights there that have the moments."""
+    wi, wo, weight = nodes
     n = twice.table()
-    ri, ro, azimuth = _factors(twice, rule.wi, rule.wo)
+    ri, ro, azimuth = _factors(twice, wi, wo)
     part = jnp.asarray(n.norm, moments.dtype) * moments
     turn = n.sine.astype(np.int32)
     sign = jnp.asarray(np.where(n.sine, -1, 1), moments.dtype)
     matrix = jnp.zeros((2, *ri.shape[:2], ri.shape[1]), moments.dtype)
     matrix = matrix.at[turn, n.m, n.j, n.k].add(part).at[turn, n.m, n.k, n.j].add(sign * part)
+    if twice.bilateral:
+        matrix, azimuth = matrix[:1], azimuth[:1]
     density = jnp.einsum("tmn,mjn,tmjn->n", azimuth, ri, jnp.einsum("tmjk,mkn->tmjn", matrix, ro, precision="highest"))
-    rows = basis(rule.wi, rule.wo)
-    return matmul(rows.T, (rule.weight * density)[:, None] * rows)
+    return matmul(rows.T, (weight * density)[:, None] * rows)
+
+
+def _rule(pairs: IsotropicBasis, dtype) -> PairRule:
+    """Exact for the product of three functions, two of an order and one of twice that, the order of `pairs`."""
+    wi, wo, weight, degree, isotropic = isotropic_pair_rule(2 * pairs.basis.order, dtype=dtype)
+    if pairs.bilateral:  # what is below the plane of incidence mirrors what is above
+        side = np.asarray(wo[:, 1])
+        above = side > -1e-6
+        weight = weight * np.where(side > 1e-6, 2, 1)
+        wi, wo, weight = wi[above], wo[above], weight[above]
+    return PairRule(wi, wo, weight, degree, isotropic)
+
+
+@lru_cache(maxsize=4)
+def _rule_rows(basis: IsotropicBasis) -> tuple[np.ndarray, ...]:
+    """wi, wo, weight of `_rule` and the design rows there. They depend on nothing but the basis. On the host."""
+    rule = _rule(_twice(basis), jnp.float64)
+    return tuple(map(np.asarray, (rule.wi, rule.wo, rule.weight, basis(rule.wi, rule.wo))))
+
+
+def _twice(basis: IsotropicBasis) -> IsotropicBasis:
+    return IsotropicBasis(_doubled(basis.basis), basis.bilateral)
 
 
 def _column(values: np.ndarray, like: Array) -> Array:

@@ -4,13 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax.bases import AbstractPairBasis
+from hshjax._typing import Array
+from hshjax.bases import AbstractPairBasis, IsotropicBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF
 from hshjax.fitting._checks import check_samples
 from hshjax.fitting._misfit import misfit, ratio
 from hshjax.fitting._moments import has_moments, normal_equations
-from hshjax.fitting._norms import named_norm
+from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._project import _condition, project
 from hshjax.fitting._result import Fit
@@ -26,8 +27,8 @@ RESOLVED = 1e-6
 def project_by_moments(
     basis: AbstractPairBasis, samples: Samples, *, norm: str = "D", ridge: float = 0.0, prior: Prior | None = None
 ) -> Fit[LinearBRDF]:
-    """`project(basis, samples, norm=norm, ridge=ridge, prior=prior)`, sooner where samples are many: to about ten digits
-    the same coefficients, residual and condition, from moments of the samples in one pass.
+    """`project(basis, samples, norm=norm, ridge=ridge, prior=prior)`, sooner where samples are many: the same
+    coefficients, residual and condition to about ten digits, from moments of the samples in one pass.
 
     For an `IsotropicBasis` of `HSH`, `SHR` or `Zernike`. Every other basis, and samples that leave the condition number
     above 300, go to `project`: `method` of the result is "moments" where it was not needed. Found in float64; the
@@ -36,39 +37,45 @@ def project_by_moments(
     **Raises:** as `project`.
     """
     chosen, gamma = named_norm(norm), penalty(basis, ridge, prior)
-    with jax.enable_x64(True):
-        if has_moments(basis):
+    if has_moments(basis):
+        with jax.enable_x64(True):
+            fit = _by_moments(basis, samples, chosen, gamma)  # pyright: ignore[reportArgumentType]
+        if fit is not None:
             dtype = np.result_type(samples.value)
-            wide = _in_float64(samples)
-            used, _ = check_samples(wide, chosen, basis.count, ridged=gamma is not None)
-            gram, right, square = normal_equations(basis, chosen, wide)  # pyright: ignore[reportArgumentType]
-            whole = gram if gamma is None else gram + jnp.diag(jnp.asarray(np.asarray(gamma, np.float64)))
-            root = jnp.linalg.cholesky(whole, upper=True)  # NaN where it is not positive definite
-            condition = _condition(root)
-            if bool(condition <= WELL_CONDITIONED):
-                coefficients = jax.scipy.linalg.cho_solve((root, False), right)
-                error = square - jnp.sum(coefficients * (2 * right - matmul(gram, coefficients)), axis=0)
-                model = LinearBRDF(basis, coefficients, chosen.target)
-                if chosen.judge_series == chosen.fit and bool(jnp.all(error > RESOLVED * square)):
-                    residual, size = jnp.sqrt(error), jnp.sqrt(square)
-                else:
-                    residual, size = misfit(model, wide, norm)
-                found = model.coefficients, residual, ratio(residual, size), condition
-                found = [np.asarray(array).astype(dtype) for array in found]
-                count = used
-            else:
-                found = None
-        else:
-            found = None
-    if found is None:
-        return project(basis, samples, norm=norm, ridge=ridge, prior=prior, reciprocity=False)
-    coefficients, residual, relative, condition = map(jnp.asarray, found)
-    model = LinearBRDF(basis, coefficients, chosen.target)
+            return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf).astype(dtype)), fit)
+    return project(basis, samples, norm=norm, ridge=ridge, prior=prior, reciprocity=False)
+
+
+def _by_moments(basis: IsotropicBasis, samples: Samples, norm: Norm, gamma: Array | None) -> Fit[LinearBRDF] | None:
+    """None where the normal equations would cost too many digits."""
+    samples = _in_float64(samples)
+    used, _ = check_samples(samples, norm, basis.count, ridged=gamma is not None)
+    gram, right, square = normal_equations(basis, norm, samples)
+    coefficients, error, condition = _solved(gram, right, square, gamma)
+    if not condition <= WELL_CONDITIONED:  # it may be NaN
+        return None
+    model = LinearBRDF(basis, coefficients, norm.target)
+    if norm.judge_series == norm.fit and np.all(error > RESOLVED * square):
+        residual, size = jnp.sqrt(error), jnp.sqrt(square)
+    else:
+        residual, size = misfit(model, samples, norm.name)
+    relative = ratio(residual, size)
     return Fit(
-        model, residual, relative, condition, norm=norm, method="moments", samples=count, unknowns=basis.count
+        model, residual, relative, condition, norm=norm.name, method="moments", samples=used, unknowns=basis.count
     )
 
 
+@jax.jit
+def _solved(gram: Array, right: Array, square: Array, gamma: Array | None) -> tuple[Array, Array, Array]:
+    """Coefficients, Σ w |f - f̂|² per channel, and the condition of the design matrix: NaN if not positive definite."""
+    whole = gram if gamma is None else gram + jnp.diag(gamma.astype(gram.dtype))
+    root = jnp.linalg.cholesky(whole, upper=True)
+    coefficients = jax.scipy.linalg.cho_solve((root, False), right)
+    error = square - jnp.sum(coefficients * (2 * right - matmul(gram, coefficients)), axis=0)
+    return coefficients, error, _condition(root)
+
+
 def _in_float64(samples: Samples) -> Samples:
-    parts = (jnp.asarray(np.asarray(part, np.float64)) for part in (samples.wi, samples.wo, samples.value, samples.weight))
-    return Samples(*parts, None, samples.isotropic)
+    parts = samples.wi, samples.wo, samples.value, samples.weight
+    wi, wo, value, weight = (jnp.asarray(np.asarray(part, np.float64)) for part in parts)
+    return Samples(wi, wo, value, weight, None, samples.isotropic)

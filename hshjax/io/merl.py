@@ -6,7 +6,8 @@ little-endian, φ_d fastest, then θ_d, θ_h. A value times 1/1500, 1.15/1500 or
 Index i is θ_h = (i/steps)² π/2, θ_d = i/steps π/2, φ_d = i/steps π: the angle from which on the database's own lookup,
 which rounds down, gives the value. It is read as measured there, at the lower edge of what that lookup calls a cell;
 the format does not say, and readers that take the middle of a cell differ by half a step. A swap of the directions is
-φ_d + π, so φ_d in [0, π) is all there is. Negative values mark what was not measured, pairs below the horizon above all.
+φ_d + π, so φ_d in [0, π) is all there is. Negative values mark what was not measured, pairs below the horizon above
+all.
 
 Source: Matusik, Pfister, Brand, McMillan, A Data-Driven Reflectance Model, ACM TOG 22(3), 2003, and the reference
 reader that comes with the database (header, order, scales, steps). Originals were not at hand: files of this layout
@@ -74,7 +75,9 @@ def measured_merl(path: str | PathLike, *, negatives: Negatives = "keep") -> Mea
     planes = finite_doubles(path, HEADER.size, 3 * nodes).reshape(3, nodes)
     measured = (planes >= 0).all(axis=0)
     if not measured.any():
-        raise FileFormatError(path, f"byte {HEADER.size}, values", "a measured one", f"none among {nodes}: all negative")
+        raise FileFormatError(
+            path, f"byte {HEADER.size}, values", "a measured one", f"none among {nodes}: all negative"
+        )
     values = np.empty((nodes, 3))
     for k, scale in enumerate(SCALES):
         np.multiply(planes[k], scale, out=values[:, k])
@@ -100,7 +103,9 @@ def measured_merl(path: str | PathLike, *, negatives: Negatives = "keep") -> Mea
         *(("Nodes with a negative value in any channel count as not measured.",) if missing.size else ()),
         *(() if steps == STEPS else (f"{' x '.join(map(str, steps))} steps, where the database has 90 x 90 x 180.",)),
     )
-    found = Findings("MERL binary", "", ("R", "G", "B"), "sr^-1, by the format's scales", nodes, masked=masked, notes=notes)
+    found = Findings(
+        "MERL binary", "", ("R", "G", "B"), "sr^-1, by the format's scales", nodes, masked=masked, notes=notes
+    )
     return Measured(table, found)
 
 
@@ -139,8 +144,8 @@ def write_merl(
             negative = ~below[:, None] & (values < 0)
             if negative.any() and negatives is None:
                 raise ValueError(
-                    f'values must be >= 0, got {values[negative].min():.6g} at θ_h = {half:.6g}: negatives="clip" makes '
-                    'them 0, "mask" marks them as not measured'
+                    f'values must be >= 0, got {values[negative].min():.6g} at θ_h = {half:.6g}: negatives="clip" '
+                    'makes them 0, "mask" marks them as not measured'
                 )
             unmeasured = below | negative.any(axis=1) if negatives == "mask" else below
             raw = np.where(unmeasured[:, None], UNMEASURED, np.maximum(values, 0) / SCALES)
@@ -182,7 +187,9 @@ def _steps(path: str | PathLike) -> tuple[int, int, int]:
     with open(path, "rb") as file:
         head = file.read(HEADER.size)
     if len(head) < HEADER.size:
-        raise FileFormatError(path, "byte 0, header", f"{HEADER.size} bytes", f"{len(head)}" if head else "an empty file")
+        raise FileFormatError(
+            path, "byte 0, header", f"{HEADER.size} bytes", f"{len(head)}" if head else "an empty file"
+        )
     steps = HEADER.unpack(head)
     for k, (name, count) in enumerate(zip(NAMES, steps, strict=True)):
         least = 1 if name == "phi_d" else 2

@@ -46,6 +46,7 @@ DTYPES = frozenset(
 ADDED: dict[str, frozenset[str]] = {
     "HalfVectorBasis": frozenset(["difference_warp"]),
     "HalfVectorTable": frozenset(["measured"]),
+    "RGLTable": frozenset(["phi_i"]),
 }
 """Fields that classes have got since they could be saved: a file from before means their defaults."""
 

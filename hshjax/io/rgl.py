@@ -1,4 +1,4 @@
-"""Materials of the RGL database (Dupuy and Jakob 2018): isotropic ones, converted to RGB."""
+"""Materials of the RGL database (Dupuy and Jakob 2018): isotropic and anisotropic, RGB and spectral."""
 
 from collections.abc import Callable
 from os import PathLike
@@ -7,48 +7,83 @@ import numpy as np
 
 from hshjax.brdfs import RGLTable, TabulatedBRDF
 from hshjax.io.errors import FileFormatError
-from hshjax.io.tensor_file import read_tensor_file
+from hshjax.io.measured import Findings, Measured, Negatives
+from hshjax.io.tensor_file import MAGIC, read_tensor_file
 
 HALF_PI = np.float32(np.pi / 2) * (1 + 1e-6)
 """Files store the last elevation in float32, which may lie above π/2."""
 
 
+TURN = 1e-4
+"""Of spans of azimuths, relative: they are stored in float32."""
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file that begins with `head` is a container of tensors; which ones it holds is not looked at."""
+    return head.startswith(MAGIC)
+
+
 def read_rgl(path: str | PathLike) -> TabulatedBRDF:
-    """The BRDF of an `*_rgb.bsdf` file: `brdf(wi, wo)` [sr^-1], cosine not included, three channels R, G, B.
+    """The BRDF of a `.bsdf` file: `brdf(wi, wo)` [sr^-1], cosine not included; the data of `measured_rgl`.
 
     Negative measurements are kept. `description` is the file's own; `unmeasured` counts the entries that the database
     extrapolated. The tables take the default float of jax's configuration, results the dtype of the directions.
 
-    **Raises:** FileFormatError for damaged files, and for anisotropic or spectral ones, which are not supported yet;
-    OSError where the file cannot be opened.
+    **Raises:** as `measured_rgl`.
     """
+    data = measured_rgl(path).data
+    assert isinstance(data, TabulatedBRDF)
+    return data
+
+
+def measured_rgl(path: str | PathLike, *, negatives: Negatives = "keep") -> Measured:
+    """The material of a `.bsdf` file as an `RGLTable`, isotropic or anisotropic.
+
+    Channels are R, G, B where the file has the field `rgb`, else its wavelengths, named "360 nm" and so on, with the
+    values of its field `spectra`. An entry of these tables cannot be left out, so that negative ones are kept or made
+    0 ("clip"), not masked.
+
+    Isotropic RGB files were held against originals. Originals of anisotropic and spectral files were not at hand: the
+    reader follows the public source of Mitsuba 3's `measured` plugin, and was held against it on files of the layout.
+
+    **Raises:** FileFormatError for damaged files, and where tables do not fit each other; ValueError for
+    `negatives="mask"`; OSError where the file cannot be opened.
+    """
+    if negatives == "mask":
+        raise ValueError('the entries of an RGL table cannot be masked: negatives may be "keep" or "clip", got "mask"')
     fields = _Fields(path, read_tensor_file(path))
-    if "rgb" not in fields.tensors and ("spectra" in fields.tensors or "wavelengths" in fields.tensors):
-        raise FileFormatError(path, "field 'rgb'", "an RGB file", "a spectral one (not supported yet; take *_rgb.bsdf)")
-    phi_i = fields.numbers("phi_i", 1)
-    if phi_i.size != 1:
-        raise FileFormatError(
-            path,
-            "field 'phi_i'",
-            "1 azimuth of incidence (isotropic)",
-            f"{phi_i.size} (anisotropic: not supported yet)",
+    phi_i = fields.numbers("phi_i", 1).astype(np.float64)
+    turns = phi_i.size
+    fields.require(
+        "phi_i",
+        turns >= 1 and np.all(np.diff(phi_i) > 0) and (turns == 1 or phi_i[-1] - phi_i[0] <= 2 * np.pi * (1 + TURN)),
+        "one azimuth, or increasing ones within a turn",
+        lambda: np.array2string(phi_i, threshold=8),
+    )
+    if turns > 2:
+        parts = 2 * np.pi / (phi_i[-1] - phi_i[0])
+        fields.require(
+            "phi_i",
+            min(abs(parts / whole - 1) for whole in (1, 2, 4)) <= TURN and abs(phi_i[0] + np.pi) <= np.pi * TURN,
+            "azimuths from -π on over a turn, half of one or a quarter",
+            lambda: f"{phi_i[0]:.6g} ... {phi_i[-1]:.6g}",
         )
     theta_i = fields.numbers("theta_i", 1)
-    slices = theta_i.size
+    elevations = theta_i.size
     fields.require(
         "theta_i",
-        slices >= 2 and np.all(np.diff(theta_i) > 0) and theta_i[0] >= 0 and theta_i[-1] <= HALF_PI,
+        elevations >= 2 and np.all(np.diff(theta_i) > 0) and theta_i[0] >= 0 and theta_i[-1] <= HALF_PI,
         "at least 2 increasing elevations in [0, π/2]",
         lambda: np.array2string(theta_i, threshold=8),
     )
     sigma, ndf = fields.grid("sigma"), fields.grid("ndf")
     fields.require("sigma", np.all(sigma > 0), "positive areas", lambda: f"a minimum of {sigma.min()}")
     fields.require("ndf", np.all(ndf >= 0), "no negative values", lambda: f"a minimum of {ndf.min()}")
-    vndf = fields.grid("vndf", 1, slices)[0]
+    vndf = fields.grid("vndf", turns, elevations)
     fields.require("vndf", np.all(vndf >= 0), "no negative densities", lambda: f"a minimum of {vndf.min()}")
-    mass = np.sum(vndf, axis=(1, 2), dtype=np.float64)
+    mass = np.sum(vndf, axis=(2, 3), dtype=np.float64)
     fields.require("vndf", np.all(mass > 0), "positive mass in every slice", lambda: f"sums {mass}")
-    values = fields.grid("rgb", 1, slices, 3)[0]
+    values, names = _channels(fields, turns, elevations)
     jacobian = fields.tensor("jacobian")
     fields.require(
         "jacobian",
@@ -56,15 +91,47 @@ def read_rgl(path: str | PathLike) -> TabulatedBRDF:
         "1",
         lambda: np.array2string(jacobian, threshold=8),
     )
-    return RGLTable.from_tables(
+    entries = turns * elevations * values.shape[-2] * values.shape[-1]
+    unmeasured, description = _unmeasured(fields, entries), _description(fields)
+    negative = int(np.count_nonzero((values < 0).any(axis=2)))
+    notes = []
+    if negative and negatives == "clip":
+        values = np.maximum(values, 0)
+        notes.append("Negative values became 0.")
+    if unmeasured:
+        notes.append(f"{unmeasured} entries were extrapolated by the database.")
+    slices = turns * elevations
+    table = RGLTable.from_tables(
         theta_i,
         sigma,
         ndf,
-        vndf,
-        values,
-        description=_description(fields),
-        unmeasured=_unmeasured(fields, slices * values.shape[-2] * values.shape[-1]),
+        vndf.reshape(slices, *vndf.shape[2:]),
+        values.reshape(slices, *values.shape[2:]),
+        description=description,
+        channel_names=names,
+        unmeasured=unmeasured,
+        phi_i=phi_i,
     )
+    kind = "isotropic" if turns <= 2 else "anisotropic"
+    found = Findings(
+        f"RGL tensor_file, {kind}", description, names, "sr^-1", entries, negative=negative, notes=tuple(notes)
+    )
+    return Measured(table, found)
+
+
+def _channels(fields: "_Fields", turns: int, elevations: int) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Values `(turns, elevations, channels, rows, columns)` and the names of the channels."""
+    if "rgb" in fields.tensors or not {"spectra", "wavelengths"} & set(fields.tensors):
+        return fields.grid("rgb", turns, elevations, 3), ("R", "G", "B")
+    wavelengths = fields.numbers("wavelengths", 1)
+    fields.require(
+        "wavelengths",
+        wavelengths.size >= 1 and np.all(np.diff(wavelengths) > 0) and wavelengths[0] > 0,
+        "increasing wavelengths above 0 [nm]",
+        lambda: np.array2string(wavelengths, threshold=8),
+    )
+    names = tuple(f"{wavelength:g} nm" for wavelength in wavelengths.tolist())
+    return fields.grid("spectra", turns, elevations, wavelengths.size), names
 
 
 class _Fields:

@@ -10,11 +10,13 @@ Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rende
 import math
 import os
 import struct
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
 MAGIC = b"tensor_file\0"
@@ -31,7 +33,12 @@ DTYPES = {
 }  # fmt: skip
 """numpy type of each type code; code 0 means invalid."""
 
+CODES = {np.dtype(dtype): code for code, dtype in DTYPES.items()}
+
 SMALLEST_FIELD = 2 + 2 + 1 + 8
+
+ALIGNMENT = 8
+"""Bytes to which data are aligned when written: readers may map them."""
 
 
 def read_tensor_file(path: str | PathLike) -> dict[str, np.ndarray]:
@@ -72,6 +79,39 @@ def read_tensor_file(path: str | PathLike) -> dict[str, np.ndarray]:
             raise FileFormatError(path, f"byte {start}, field {index}", "a new name", f"{name!r} again")
         entries[name] = entry
     return {name: _tensor(path, data, cursor.position, name, *entry) for name, entry in entries.items()}
+
+
+def write_tensor_file(path: str | PathLike, tensors: Mapping[str, np.ndarray]) -> None:
+    """The tensors under their names, in their order; written beside and renamed.
+
+    **Raises:** ValueError for types that the container lacks, names of more than 65535 bytes, or too many dimensions.
+    """
+    arrays = {name: np.asarray(tensor) for name, tensor in tensors.items()}
+    entries = []
+    for name, array in arrays.items():
+        little = array.dtype.newbyteorder("<")
+        raw = name.encode()
+        if little not in CODES or len(raw) > 0xFFFF or array.ndim > MAX_DIMENSIONS:
+            raise ValueError(
+                f"a tensor must be of integers or floats of at most {MAX_DIMENSIONS} dimensions and have a name of at "
+                f"most 65535 bytes, got {array.dtype} of {array.ndim} dimensions named {name[:40]!r}"
+            )
+        entries.append((raw, array.astype(little, copy=False), CODES[little]))
+    head = MAGIC + bytes(VERSION) + struct.pack("<I", len(entries))
+    end = len(head) + sum(SMALLEST_FIELD + len(raw) + 8 * array.ndim for raw, array, _ in entries)
+    offsets = []
+    for _, array, _ in entries:
+        end += -end % ALIGNMENT
+        offsets.append(end)
+        end += array.nbytes
+    with replacing(path) as beside, beside.open("xb") as file:
+        file.write(head)
+        for (raw, array, code), offset in zip(entries, offsets, strict=True):
+            file.write(struct.pack("<H", len(raw)) + raw + struct.pack("<HBQ", array.ndim, code, offset))
+            file.write(struct.pack(f"<{array.ndim}Q", *array.shape))
+        for (_, array, _), offset in zip(entries, offsets, strict=True):
+            file.write(bytes(offset - file.tell()))
+            file.write(array.tobytes())
 
 
 class _Cursor:

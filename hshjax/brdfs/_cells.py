@@ -1,0 +1,85 @@
+"""Multilinear interpolation between the nodes of a grid, some of which may hold nothing."""
+
+from collections.abc import Sequence
+from itertools import product
+
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._typing import Array, Bool, Float, Int, Real
+
+End = tuple[Int[Array, " n"], Float[Array, " n"]]
+"""An index a place, and its weight."""
+
+
+def cell(nodes: Float[Array, " nodes"], x: Float[Array, " n"]) -> tuple[End, End]:
+    """The nodes on either side of x with their weights; beyond the ends, all of it the last node's."""
+    below = jnp.searchsorted(nodes[1:-1], x, side="right", method="scan").astype(jnp.int32)
+    low, high = nodes[below], nodes[below + 1]
+    fraction = jnp.clip((x - low) / (high - low), 0, 1)
+    return (below, 1 - fraction), (below + 1, fraction)
+
+
+def periodic_cell(nodes: Float[Array, " nodes"], phi: Float[Array, " n"], period: float) -> tuple[End, End]:
+    """The same on a circle; with a single node, that one twice."""
+    count = nodes.size
+    below = jnp.searchsorted(nodes, phi, side="right", method="scan").astype(jnp.int32) - 1
+    below = jnp.where(below < 0, count - 1, below)
+    above = jnp.where(below == count - 1, 0, below + 1)
+    gap = jnp.mod(nodes[above] - nodes[below], period) if count > 1 else period
+    fraction = jnp.mod(phi - nodes[below], period) / gap
+    return (below, 1 - fraction), (above, fraction)
+
+
+def interpolated(
+    values: Float[Array, "*grid channels"], measured: Bool[Array, "*grid"] | None, ends: Sequence[tuple[End, End]]
+) -> Float[Array, "n channels"]:
+    """Σ weight x value over the corners of cells, `ends` being those along every axis of the grid.
+
+    With `measured`, over the corners that are, the weights scaled to a sum of 1; 0 where none is.
+    """
+    first = ends[0][0][1]
+    total = jnp.zeros((first.size, values.shape[-1]), first.dtype)
+    found = jnp.zeros(first.size, first.dtype)
+    for corner in product(*ends):
+        index = tuple(where for where, _ in corner)
+        weight = corner[0][1]
+        for _, part in corner[1:]:
+            weight = weight * part
+        value = values[index]
+        if measured is not None:
+            there = measured[index]
+            weight, value = jnp.where(there, weight, 0), jnp.where(there[:, None], value, 0)
+            found += weight
+        total += weight[:, None] * value
+    if measured is None:
+        return total
+    return jnp.where(found[:, None] > 0, total / jnp.where(found > 0, found, 1)[:, None], 0)
+
+
+def walls(nodes: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Where the cells of nodes on a line meet: halfway between them, `start` and `end` outside."""
+    return np.concatenate([[start], (nodes[1:] + nodes[:-1]) / 2, [end]])
+
+
+def arcs(nodes: np.ndarray, period: float) -> np.ndarray:
+    """Lengths of the cells of nodes on a circle, halfway to the next ones."""
+    after = np.diff(np.append(nodes, nodes[0] + period))
+    return (after + np.roll(after, 1)) / 2
+
+
+def check_nodes(name: str, nodes: np.ndarray, end: float, *, closed: bool) -> None:
+    """ValueError unless they rise within [0, end], or [0, end) if not `closed`."""
+    slack = 1e-6 * end  # a right angle in float32 may lie above one in float64
+    last = nodes[-1] <= end + slack if closed else nodes[-1] < end - slack
+    if not (nodes[0] >= 0 and last and np.all(np.diff(nodes) > 0)):
+        bracket = "]" if closed else ")"
+        raise ValueError(
+            f"{name} of a table must rise within [0, {end:.6g}{bracket}, got {nodes[0]:.6g} ... {nodes[-1]:.6g}"
+        )
+
+
+def root(theta: Real) -> Real:
+    """sqrt(θ), with derivative 0 at 0."""
+    positive = theta > 0
+    return jnp.where(positive, jnp.sqrt(jnp.where(positive, theta, 1)), 0)
