@@ -117,6 +117,7 @@ def compare(
     )
     return errors
 
+
 class Scores(NamedTuple):
     """Two pictures of a sphere, `(n, 3)` at points: `ours`, and Mitsuba's with its standard error; `counts` `(n,)`."""
 

@@ -53,7 +53,7 @@ class Arithmetic(Protocol):
 
 
 class Formula(NamedTuple):
-    """ρ_c = series_c / (z_i z_o)^exponent, or exp(clip(series_c, low_c, high_c)), series_c = Σ_t coefficients[t, c] B_t.
+    """ρ_c = s_c / (z_i z_o)^exponent, or exp(clip(s_c, low_c, high_c)), of the series s_c = Σ_t coefficients[t, c] B_t.
 
     Host arrays: `coefficients` `(modes, channels)`; `low` and `high` `(channels,)` of the exponential, else None.
     """
@@ -176,7 +176,7 @@ def _powers(square: Complex, odd: Complex, orders: int, on: Arithmetic, name: st
         if m <= 2:
             re, im = odd if m == 1 else square
         else:
-            (a, b), (c, d) = found[m - 1 - (m + 1) % 2], odd if m % 2 else square
+            (a, b), (c, d) = found[m - 1 - (m + 1) % 2], found[1 if m % 2 else 2]
             re, im = a * c - b * d, a * d + b * c
         found.append((on.keep(f"re_{name}{m}", re), on.keep(f"im_{name}{m}", im)))
     return found

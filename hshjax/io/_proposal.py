@@ -1,4 +1,4 @@
-"""From which directions a renderer should take light: a lobe about the mirror direction and a cosine, fitted to a BRDF."""
+"""Where a renderer should look for light: a lobe about the mirror direction and a cosine, fitted to a BRDF."""
 
 from typing import Any, NamedTuple
 

@@ -57,7 +57,7 @@ def register() -> None:
     for other models, other counts of channels, unknown parameters.
     """
     try:
-        import mitsuba as mi  # pyright: ignore[reportMissingImports]
+        mi, _ = _modules()
     except ImportError as error:
         raise ImportError('Mitsuba 3 is missing: pip install "hshjax[mitsuba]"') from error
 
@@ -72,12 +72,18 @@ def register() -> None:
             changed()
 
 
+def _modules() -> tuple[Any, Any]:
+    """Mitsuba and Dr.Jit, whose types depend on the variant."""
+    import drjit  # pyright: ignore[reportMissingImports]
+    import mitsuba
+
+    return mitsuba, drjit
+
+
 @lru_cache
 def _bsdf_class(variant: str) -> type:
     """The plugin on the types of the current variant: a class of Mitsuba exists once for each."""
-    import drjit as dr  # pyright: ignore[reportMissingImports]
-    import mitsuba as mi  # pyright: ignore[reportMissingImports]
-
+    mi, dr = _modules()
     jit = not variant.startswith("scalar")
 
     class SeriesBSDF(mi.BSDF):

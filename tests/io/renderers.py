@@ -1,4 +1,4 @@
-"""Models that renderers are told of, one or more of each kind, small; and the arithmetic of NumPy for their formulas."""
+"""Models that renderers are told of, small ones of each kind; and the arithmetic of NumPy for their formulas."""
 
 import numpy as np
 

@@ -156,7 +156,7 @@ def test_directions_follow_their_density_and_weights_have_the_mean_of_the_albedo
         return si
 
     def sample(points):
-        drawn, weight = bsdf.sample(context, at(dr.width(points)), points[0], mi.Point2f(points[1], points[2]))
+        drawn, _ = bsdf.sample(context, at(dr.width(points)), points[0], mi.Point2f(points[1], points[2]))
         return drawn.wo, dr.select(drawn.pdf > 0, 1.0, 0.0)
 
     test = mi.chi2.ChiSquareTest(
