@@ -1,10 +1,12 @@
-"""Pictures of BRDFs, for reports and for looking at a fit. Needs matplotlib (the extra `experiments`).
+"""Pictures of BRDFs, for reports and for looking at a fit. Axes need matplotlib (the extra `experiments`).
 
-Nothing here opens a window or writes a file: functions draw on axes that they are given, or return an image.
+Nothing here opens a window: functions draw on axes that they are given, or return an image for `write_picture`.
 """
 
 import itertools
 from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,7 +15,9 @@ import numpy as np
 from hshjax import surface
 from hshjax._typing import PairFunction
 from hshjax.camera import OrthographicCamera
-from hshjax.geometry import direction
+from hshjax.geometry import direction, from_half_difference
+from hshjax.io import write_exr
+from hshjax.io._images import write_png
 from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
 
@@ -63,6 +67,72 @@ def sphere(brdf: PairFunction, light: tuple[float, float, float] = (-0.5, 0.5, 0
     seen = surface.sphere(camera)
     radiance = reflect(brdf, DirectionalLight(light, jnp.ones(())), seen.normal, camera)
     return np.where(seen.mask[..., None], np.asarray(radiance, float), np.nan)
+
+
+def slice_image(brdf: PairFunction, *, size: int = 180, phi_d: float = np.pi / 2, root: bool = False) -> np.ndarray:
+    """ρ [sr^-1] over half and difference angle, `(size, size, channels)`: θ_h to the right, θ_d upwards, to 90 degrees.
+
+    The highlight is the left edge, grazing reflection (Fresnel) the top, the bottom reflects back to the light, what
+    lies between is diffuse. Values are at the centres of pixels, of an isotropic BRDF or at φ_h = 0; pairs
+    below the horizon, of which there are none at φ_d = π/2, are NaN. Linear values: see `display`.
+
+    - `phi_d`: azimuth of the difference vector [radians]. - `root`: the right edge is 90 degrees still, but sqrt(θ_h)
+      grows evenly, which widens highlights.
+
+    Source: Burley, Physically-Based Shading at Disney, SIGGRAPH course 2012, section 3 (the image slice).
+    """
+    place = (np.arange(size) + 0.5) / size
+    theta_h, theta_d = np.meshgrid((place**2 if root else place) * np.pi / 2, place[::-1] * np.pi / 2)
+    wi, wo = from_half_difference(jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d))
+    above = np.asarray((wi[..., 2] > 0) & (wo[..., 2] > 0))
+    return np.where(above[..., None], np.asarray(brdf(wi, wo), float), np.nan)
+
+
+def lobe_image(brdf: PairFunction, wi: Any, *, size: int = 256) -> np.ndarray:
+    """ρ [sr^-1] over the hemisphere of wo under light from `wi` `(3,)`, of any length: `(size, size, channels)`.
+
+    The radiance per irradiance that an eye at wo sees. Seen from above on the equal-area disk, (x, y) = wo / sqrt(1 +
+    z), x to the right and y up: the normal in the middle, the horizon its rim, every pixel 8 / size² sr. Pixels off the
+    disk are NaN. Linear values: see `display`.
+
+    **Raises:** ValueError for light from below the horizon.
+    """
+    light = np.asarray(wi, float)
+    if light.shape != (3,) or not light[2] > 0:
+        raise ValueError(f"wi must be a direction (3,) above the horizon, got {wi}")
+    step = (np.arange(size) + 0.5) / size * 2 - 1
+    x, y = np.meshgrid(step, -step)
+    square = x * x + y * y
+    inside = square < 1
+    rim = np.sqrt(2 - np.where(inside, square, 0))
+    wo = np.where(inside[..., None], np.stack([rim * x, rim * y, 1 - square], -1), (0.0, 0.0, 1.0))
+    values = np.asarray(brdf(jnp.asarray(light / np.linalg.norm(light)), jnp.asarray(wo)), float)
+    return np.where(inside[..., None], values, np.nan)
+
+
+def write_picture(path: str | PathLike, radiance: np.ndarray, *, factor: float | None = None) -> None:
+    """Write an image `(height, width, channels)` as its suffix says.
+
+    `.exr`: the values themselves, times the `factor` if there is one, in float; NaN pixels are 0 under an alpha channel
+    A, which is 1 elsewhere and present if there are such pixels. Channels are Y, or R, G, B, or else C0, C1, ...
+    `.png`: what `display` shows at the factor (default: `exposure`), 8 bits; it needs the extra `photographs`.
+
+    **Raises:** ValueError for another suffix, and as `display`, `exposure` and `hshjax.io.write_exr`.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix == ".png":
+        shown = display(radiance, exposure(radiance) if factor is None else factor)
+        write_png(path, np.rint(255 * shown).astype(np.uint8))
+        return
+    if suffix != ".exr":
+        raise ValueError(f"a picture is written as .exr or .png, got {Path(path).name!r}")
+    count = radiance.shape[-1]
+    names = {1: ("Y",), 3: ("R", "G", "B")}.get(count, tuple(f"C{k}" for k in range(count)))
+    hidden = np.isnan(radiance).any(axis=-1, keepdims=True)
+    values = np.where(hidden, 0, radiance) * (1.0 if factor is None else factor)
+    if hidden.any():
+        values, names = np.concatenate([values, np.where(hidden, 0.0, 1.0)], axis=-1), (*names, "A")
+    write_exr(path, values, names)
 
 
 def exposure(radiance: np.ndarray, quantile: float = 0.95) -> float:

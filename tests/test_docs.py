@@ -25,6 +25,7 @@ RUN = [
             "photographs",
             "photometric_stereo",
             "refine_jointly",
+            "render_elsewhere",
             "shape_from_shading",
             "use_as_a_layer",
         )

@@ -49,10 +49,12 @@ SAME_FLOOR = {
 LAZY = {
     "OpenEXR",
     "PIL",
+    "drjit",
     "embreex",
     "imagecodecs",
     "jaxopt",
     "matplotlib",
+    "mitsuba",
     "pydantic",
     "rich",
     "scipy",
@@ -191,8 +193,8 @@ def test_no_file_imports_pickle(path):
 
 
 def test_library_imports_only_its_declared_dependencies():
-    """So that a plain install has them, or an extra: `experiments` on floor 7, `mesh` for surfaces, `photographs` for
-    files. Import and package names agree, but for Pillow's."""
+    """So that a plain install has them, or an extra: `experiments` on floor 7, `mesh` for surfaces, `photographs` and
+    `mitsuba` for files. Import and package names agree, but for Pillow's."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
     def package_names(requirements):
@@ -204,6 +206,6 @@ def test_library_imports_only_its_declared_dependencies():
     for path in LIBRARY:
         allowed = declared | (extras["experiments"] if FLOORS.get(room(path)) == 7 else set())
         allowed |= extras["mesh"] if room(path) == "surface" else set()
-        allowed |= extras["photographs"] if room(path) == "io" else set()
+        allowed |= extras["photographs"] | extras["mitsuba"] if room(path) == "io" else set()
         found = {"pillow" if name == "PIL" else name for name in top_level_names(path, lazy=True)}
         assert found - set(sys.stdlib_module_names) - {"hshjax"} <= allowed, path

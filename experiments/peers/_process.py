@@ -1,7 +1,9 @@
 """A script in the environment of a peer: arrays in, arrays out."""
 
+import importlib.util
 import os
 import subprocess
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from experiments.peers._environments import environment
-from experiments.peers._errors import PeerError
+from experiments.peers._errors import PeerError, PeerUnavailableError
 from experiments.peers._llvm import VARIABLE, llvm_library
 
 TAIL = 2000
@@ -18,10 +20,14 @@ TAIL = 2000
 SCRIPTS = Path(__file__).parent
 
 
-def run(name: str, script: str, inputs: Mapping[str, Any], *, llvm: bool = False) -> dict[str, np.ndarray]:
+def run(
+    name: str, script: str, inputs: Mapping[str, Any], *, llvm: bool = False, here: bool = False
+) -> dict[str, np.ndarray]:
     """What `<script>.py` of this folder answers to arrays, numbers and strings, in a process of its own.
 
-    They travel in `.npz` files without pickle, see `exchange.answer`. `llvm`: the script needs LLVM's library.
+    They travel in `.npz` files without pickle, see `exchange.answer`. `llvm`: the script needs LLVM's library. `here`:
+    it needs this library as well, and runs in this environment, which has the peer if the extra of its name is
+    installed.
 
     **Raises:** PeerError with the end of what a failing script said; PeerUnavailableError; ValueError for inputs that
     cannot travel.
@@ -30,7 +36,9 @@ def run(name: str, script: str, inputs: Mapping[str, Any], *, llvm: bool = False
     for key, array in arrays.items():
         if array.dtype.kind not in "biufU" or key in ("file", "allow_pickle"):  # names of savez's own arguments
             raise ValueError(f"input {key!r} of {array.dtype} cannot travel")
-    python = environment(name)
+    if here and importlib.util.find_spec(name) is None:
+        raise PeerUnavailableError(f'{name} is to run beside this library: pip install ".[{name}]"')
+    python = sys.executable if here else environment(name)
     variables = os.environ | ({VARIABLE: llvm_library()} if llvm else {})
     with tempfile.TemporaryDirectory(prefix="hshjax-peer-") as folder:
         given, wanted = (Path(folder) / f"{part}.npz" for part in ("given", "wanted"))

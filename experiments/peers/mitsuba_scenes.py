@@ -18,6 +18,8 @@ def bsdf(inputs: dict[str, Any]) -> dict[str, Any]:
     - `ggx`: `alpha`; no Fresnel term (material `none` reflects everything), no diffuse part.
     - `glossy`: `reflectance` `(3,)`, `alpha`; the lobe of `ggx` with the weight `share`, `lambert` with the rest of 1.
     - `measured`: `path`, of an RGL `*.bsdf`.
+    - `hshjax`: `path`, of a saved model; `sampling`, see `hshjax.io.mitsuba`. Negative values stay. The one material
+      that takes an environment with `hshjax` in it.
     """
     match inputs["bsdf"]:
         case "lambert":
@@ -33,7 +35,14 @@ def bsdf(inputs: dict[str, Any]) -> dict[str, Any]:
             }
         case "measured":
             return {"type": "measured", "filename": inputs["path"]}
-    raise ValueError(f"bsdf must be lambert, ggx, glossy or measured, got {inputs['bsdf']!r}")
+        case "hshjax":
+            import hshjax.io.mitsuba
+
+            hshjax.io.mitsuba.register()
+            return {
+                "type": "hshjax", "filename": inputs["path"], "sampling": inputs["sampling"], "clamp": False,
+            }  # fmt: skip
+    raise ValueError(f"bsdf must be lambert, ggx, glossy, measured or hshjax, got {inputs['bsdf']!r}")
 
 
 def lit_sphere(inputs: dict[str, Any]) -> dict[str, Any]:

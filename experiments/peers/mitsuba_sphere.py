@@ -21,7 +21,7 @@ def work(inputs: dict[str, Any]) -> dict[str, np.ndarray]:
 
     - `variant`: of Mitsuba. - `size`: pixels along a side. - `spp`: samples at each point. - `seed`: of them, < 2^16.
     - `strategy`: `both` draws directions from the light and from the BSDF, weighted by the balance heuristic; `light`
-      from the light only, which asks the BSDF for nothing but its value.
+      from the light only, which asks the BSDF for nothing but its value; `bsdf` from the BSDF only.
     - `directions` `(n, 3)`, unit.
 
     The eye looks along -z, orthographically, x to the right and y up; the image is [-1, 1]², its rows from the top.
@@ -30,9 +30,9 @@ def work(inputs: dict[str, Any]) -> dict[str, np.ndarray]:
     """
     choose(inputs["variant"])
     scene = mi.load_dict(lit_sphere(inputs))
-    from_bsdf = {"both": 1, "light": 0}[inputs["strategy"]]
+    from_light, from_bsdf = {"both": (1, 1), "light": (1, 0), "bsdf": (0, 1)}[inputs["strategy"]]
     integrator = mi.load_dict(
-        {"type": "direct", "emitter_samples": 1, "bsdf_samples": from_bsdf, "hide_emitters": True}
+        {"type": "direct", "emitter_samples": from_light, "bsdf_samples": from_bsdf, "hide_emitters": True}
     )
     size, spp = inputs["size"], inputs["spp"]
     step = (np.arange(size) + 0.5) / size * 2 - 1
@@ -55,7 +55,7 @@ def work(inputs: dict[str, Any]) -> dict[str, np.ndarray]:
     mean[inside] = centre[:, 0] + total / spp
     error[inside] = np.sqrt(variance / spp)
     light = scene.emitters()[0]
-    return {"mean": mean, "error": error, "inside": inside, "radiance": from_light(light, inputs["directions"])}
+    return {"mean": mean, "error": error, "inside": inside, "radiance": radiance_from(light, inputs["directions"])}
 
 
 def samples(scene: Any, integrator: Any, points: np.ndarray, count: int, seed: int) -> np.ndarray:
@@ -76,7 +76,7 @@ def samples(scene: Any, integrator: Any, points: np.ndarray, count: int, seed: i
     return np.array(value).T.reshape(len(points), count, 3)
 
 
-def from_light(light: Any, directions: np.ndarray) -> np.ndarray:
+def radiance_from(light: Any, directions: np.ndarray) -> np.ndarray:
     """Radiance of the light from directions `(n, 3)`, `(n, 3)`."""
     if not dr.is_array_v(mi.Float):
         return np.array([_from_one(light, w) for w in directions]).reshape(-1, 3)

@@ -58,16 +58,26 @@ def run(config: Config, record: Record) -> None:
         "of incidence, for its paths begin there. Measured tables are not reciprocal, so our BRDF is called with "
         "exchanged arguments; the last column of the table shows what happens otherwise."
     )
-    light = _averaged(np.asarray(read_exr(local_path(config.environment))), config.height)
+    compare(config, record, _cases(config))
+
+
+def compare(
+    config: Config, record: Record, cases: dict[str, tuple[PairFunction, dict[str, Any]]]
+) -> dict[str, np.ndarray]:
+    """Spheres of our BRDFs, and of the materials by which they are described to `experiments/peers/mitsuba_scenes.py`.
+
+    Returns Mitsuba's standard errors by label, `(size, size, 3)`.
+    """
+    light = averaged(np.asarray(read_exr(local_path(config.environment))), config.height)
     maps = [hshjax.EnvironmentMap(refined(light, k), up="y") for k in (config.refine, config.refine // 2)]
     directions = record.rng("directions").normal(size=(10_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    normals, inside = _sphere(config.size)
+    normals, inside = sphere(config.size)
     counts = normals[:, 2] > config.min_cosine
 
-    rows, panels, radiance = [], {}, mitsuba_radiance(light, directions)
-    for label, (brdf, inputs) in record.progress(_cases(config).items(), "spheres"):
-        peer = record.stage(f"mitsuba {label}", _mitsuba, config, light, directions, inputs)
+    rows, panels, errors, radiance = [], {}, {}, mitsuba_radiance(light, directions)
+    for label, (brdf, inputs) in record.progress(cases.items(), "spheres"):
+        peer = record.stage(f"mitsuba {label}", ask, config, light, inputs, directions)
         ours = record.stage(f"ours {label}", _ours, brdf, maps, normals, inputs["bsdf"] == "measured")
         scores = Scores(ours["radiance"], peer["mean"][inside], peer["error"][inside], counts)
         rows.append(
@@ -81,6 +91,7 @@ def run(config: Config, record: Record) -> None:
             }
         )
         panels[label] = [_image(x, inside) for x in (peer["mean"][inside], ours["radiance"], scores.score)]
+        errors[label] = peer["error"]
         lights = np.max(np.abs(peer["radiance"] - radiance) / radiance)
 
     record.table(
@@ -104,6 +115,7 @@ def run(config: Config, record: Record) -> None:
     record.metric(
         "light, largest relative difference", lights, note="Mitsuba's interpolation against our formula of it"
     )
+    return errors
 
 
 class Scores(NamedTuple):
@@ -166,7 +178,7 @@ def _cases(config: Config) -> dict[str, tuple[PairFunction, dict[str, Any]]]:
     return cases
 
 
-def _averaged(image: np.ndarray, height: int) -> np.ndarray:
+def averaged(image: np.ndarray, height: int) -> np.ndarray:
     """Means over square blocks of an image, `(height, any, 3)`; negative values, which no light has, as 0.
 
     **Raises:** ValueError where blocks do not fit.
@@ -174,7 +186,7 @@ def _averaged(image: np.ndarray, height: int) -> np.ndarray:
     return square_blocks(np.maximum(image, 0), height).mean((1, 3))
 
 
-def _sphere(size: int) -> tuple[np.ndarray, np.ndarray]:
+def sphere(size: int) -> tuple[np.ndarray, np.ndarray]:
     """Normals at the centres of pixels `(n, 3)`, and which pixels `(size, size)`; as `plotting.sphere` has them."""
     step = (np.arange(size) + 0.5) / size * 2 - 1
     x, y = np.meshgrid(step, -step)
@@ -183,12 +195,19 @@ def _sphere(size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([x, y, np.sqrt(1 - x * x - y * y)], -1), inside
 
 
-def _mitsuba(config: Config, light: np.ndarray, directions: np.ndarray, inputs: dict[str, Any]) -> dict[str, Any]:
+def ask(
+    config: Config, light: np.ndarray, inputs: dict[str, Any], directions: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """What `experiments/peers/mitsuba_sphere.py` says of a sphere under a light; `inputs` describe its material.
+
+    The library's own material needs an environment that has both: this one, with the extra `mitsuba`.
+    """
     common = {
-        "environment": light, "directions": directions, "variant": config.variant, "strategy": "both",
-        "size": config.size, "spp": config.spp, "seed": config.seed % 2**16,
+        "environment": light, "directions": np.eye(3) if directions is None else directions, "strategy": "both",
+        "variant": config.variant, "size": config.size, "spp": config.spp, "seed": config.seed % 2**16,
     }  # fmt: skip
-    return peers.run("mitsuba", "mitsuba_sphere", common | inputs, llvm=config.variant.startswith("llvm"))
+    llvm = config.variant.startswith("llvm")
+    return peers.run("mitsuba", "mitsuba_sphere", common | inputs, llvm=llvm, here=inputs["bsdf"] == "hshjax")
 
 
 def _ours(

@@ -17,10 +17,12 @@ SMOKE = sorted((ROOT / "configs" / "smoke").glob("*.toml"))
 
 @pytest.fixture(autouse=True)
 def _needed_data(request):
-    """Skips a config on measured data where there is none."""
+    """Skips a config on measured data where there is none, and one on Mitsuba beside JAX without the extra."""
     path = request.node.callspec.params.get("path") if hasattr(request.node, "callspec") else None
     if isinstance(path, Path) and "$HSHJAX_DATA" in path.read_text(encoding="utf-8"):
         request.getfixturevalue("data")
+    if isinstance(path, Path) and path.stem == "mitsuba_plugin" and path.parent == SMOKE[0].parent:
+        pytest.importorskip("mitsuba", reason='the extra: pip install ".[mitsuba]"')
 
 
 def test_every_recipe_has_a_smoke_config():
@@ -38,6 +40,7 @@ LONG = (
     "lighting_recovery",
     "material_fit",
     "measured_fits",
+    "mitsuba_plugin",
     "mitsuba_spheres",
     "natural_light",
     "paper_basis_sweep",
