@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Bool, Float, PairFunction
+from hshjax.brdfs._angle_table import AngleTable
 from hshjax.brdfs._half_vector_table import HalfVectorTable
 from hshjax.quadrature import PairRule
 from hshjax.samples import Samples
@@ -11,7 +12,7 @@ from hshjax.samples import Samples
 
 def known(brdf: PairFunction, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Bool[Array, " n"]:
     """Whether a BRDF has a value at pairs: a table, which is 0 where all nodes around are missing, has none."""
-    if not isinstance(brdf, HalfVectorTable) or brdf.measured is None:
+    if not isinstance(brdf, AngleTable | HalfVectorTable) or brdf.measured is None:
         return jnp.ones(wi.shape[0], bool)
     # Interpolation scales the weights of measured nodes to a sum of 1: a table of ones is 1 where there are any.
     ones = eqx.tree_at(lambda table: table.values, brdf, jnp.ones_like(brdf.values))

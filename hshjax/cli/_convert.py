@@ -3,8 +3,11 @@
 from pathlib import Path
 from typing import Annotated
 
-from hshjax.cli._console import Figures, Misuse, check_targets, complaints, console, guarded, typer
+from hshjax.cli._console import Figures, Misuse, check_targets, complaints, console, failure, guarded, typer
 from hshjax.cli._options import File, Force, Json, Negatives
+
+SLICE = ".exr"
+SLICED = "ρ over half and difference angle as an image"
 
 
 @guarded
@@ -21,22 +24,45 @@ def convert(
 ) -> None:
     """Write a material in another format.
 
-    .binary (MERL), .bsdf (RGL), .csv (samples), .glsl (a shader function), .exr (slices), .hshjax (a model or a table).
-    """
-    from hshjax.io import read_material
-    from hshjax.io.write_material import WRITERS, write_material, writer_suffix
+    .binary (MERL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or a table),
+    .exr (its slice over half and difference angle).
 
+    Examples:
+
+      hshjax convert leather.hshjax leather.binary --negatives clip
+
+      hshjax convert leather.hshjax leather.glsl
+
+      hshjax convert black_coating.txt coating.csv
+    """
+    import numpy as np
+
+    from hshjax import plotting
+    from hshjax.cli._render import channel_names
+    from hshjax.io import read_material, write_exr
+    from hshjax.io.write_material import WRITERS, write_material, writer_suffix
+    from hshjax.samples import Samples
+
+    sliced = (target.suffix.lower() if to is None else "." + to.lower().removeprefix(".")) == SLICE
     try:
-        suffix = writer_suffix(target, to)
+        suffix = SLICE if sliced else writer_suffix(target, to)
     except ValueError as error:
-        raise Misuse(str(error)) from error
+        raise Misuse(f"{error}, {SLICE} ({SLICED})") from error
     check_targets(target, force=force, sources=(source,))
     with complaints.status("reading"):
         data, _ = read_material(source, negatives=negatives)
     figures = Figures()
     with complaints.status("writing"):
-        write_material(target, data, to=suffix, degree=degree)
-    figures.add("format", suffix, words=f"{suffix}, {WRITERS[suffix].words}")
+        if not sliced:
+            write_material(target, data, to=suffix, degree=degree, negatives=negatives)
+        elif isinstance(data, Samples):
+            raise failure(
+                f"{source}: scattered samples have no value between them; hshjax fit it, and convert the model"
+            )
+        else:
+            image = plotting.slice_image(data)
+            write_exr(target, np.nan_to_num(image), channel_names(image.shape[-1]))
+    figures.add("format", suffix, words=f"{suffix}, {SLICED if sliced else WRITERS[suffix].words}")
     figures.add("bytes", target.stat().st_size)
     figures.show(f"{source.name} → {target.name}", as_json=as_json)
     if not as_json:

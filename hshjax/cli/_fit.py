@@ -255,15 +255,13 @@ def _shown(data: Any, fitted: Any) -> list[Any]:
 def save_spheres(path: Path, *brdfs: Any) -> None:
     """Spheres side by side, all exposed as the first one; of other than 1 or 3 channels the middle one, in grey."""
     import numpy as np
-    from matplotlib.image import imsave
 
     from hshjax import plotting
-    from hshjax.io._replace import replacing
+    from hshjax.io._images import write_png
 
     images = [displayable(plotting.sphere(brdf)) for brdf in brdfs]
-    factor = plotting.exposure(images[0])
-    with replacing(path) as beside:
-        imsave(beside, np.concatenate([plotting.display(image, factor) for image in images], axis=1), format="png")
+    shown = plotting.display(np.concatenate(images, axis=1), plotting.exposure(images[0]))
+    write_png(path, np.rint(255 * shown).astype(np.uint8))
 
 
 def displayable(image: Any) -> Any:

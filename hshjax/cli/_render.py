@@ -35,7 +35,8 @@ def render(
     ] = 256,
     seed: Annotated[int, typer.Option(min=0, help="Of these directions.")] = 0,
     exposure: Annotated[
-        float | None, typer.Option(help="Factor of the radiance in a PNG [default: makes nearly all of it fit].")
+        float | None,
+        typer.Option(help="Factor of the radiance [default: 1 in EXR, one that fits in PNG]."),
     ] = None,
     force: Force = False,
     as_json: Json = False,
@@ -56,8 +57,9 @@ def render(
     import jax.numpy as jnp
     import numpy as np
 
-    from hshjax import surface
+    from hshjax import plotting, surface
     from hshjax.camera import OrthographicCamera
+    from hshjax.cli._fit import displayable
     from hshjax.io import read_material
     from hshjax.reflectance import picture
     from hshjax.samples import Samples
@@ -69,7 +71,7 @@ def render(
     shining = _light(light)
     check_targets(out, force=force, sources=(file,))
     with complaints.status("reading"):
-        brdf, found = read_material(file)
+        brdf, _ = read_material(file)
     if isinstance(brdf, Samples):
         raise failure(f"{file}: scattered samples have no value between them; hshjax fit {file}, and render the model")
     if mesh is None:
@@ -88,12 +90,14 @@ def render(
     if image.deviation is not None:
         noise = float(np.nanmean(image.deviation) / np.nanmean(np.abs(image.radiance)))
         figures.add("noise", noise, "noise, of the mean", f"{noise:.2%}")
-    names = found.channel_names if found is not None else None
     with complaints.status("writing"):
         if out.suffix.lower() == ".exr":
-            _write_exr(out, image.radiance, names)
+            plotting.write_picture(out, image.radiance, factor=exposure)
         else:
-            figures.add("exposure", _write_png(out, image.radiance, exposure))
+            shown = displayable(image.radiance)
+            factor = plotting.exposure(shown) if exposure is None else exposure
+            plotting.write_picture(out, shown, factor=factor)
+            figures.add("exposure", factor)
     figures.show(f"{file.name} under {light}", as_json=as_json)
     if not as_json:
         console.print(f"picture: {out}", soft_wrap=True)
@@ -147,36 +151,9 @@ def _mesh(path: Path, size: int) -> tuple[Any, Any]:
     return surface.mesh(camera, vertices, faces), camera
 
 
-def _write_exr(path: Path, radiance: Any, names: tuple[str, ...] | None) -> None:
-    """Linear pixels, 0 off the shape; alpha 1 on it."""
-    import numpy as np
-
-    from hshjax.io import write_exr
-
-    channels = radiance.shape[-1]
-    if channels == 3:
-        names = ("R", "G", "B")
-    elif channels == 1:
-        names = ("Y",)
-    elif names is None:
-        names = tuple(f"channel {k + 1}" for k in range(channels))
-    alpha = np.isfinite(radiance[..., :1]).astype(float)
-    write_exr(path, np.concatenate([np.nan_to_num(radiance), alpha], axis=-1), (*names, "A"))
-
-
-def _write_png(path: Path, radiance: Any, exposure: float | None) -> float:
-    """Exposed pixels, white off the shape; the factor that was taken."""
-    from matplotlib.image import imsave
-
-    from hshjax import plotting
-    from hshjax.cli._fit import displayable
-    from hshjax.io._replace import replacing
-
-    image = displayable(radiance)
-    factor = plotting.exposure(image) if exposure is None else exposure
-    with replacing(path) as beside:
-        imsave(beside, plotting.display(image, factor), format="png")
-    return factor
+def channel_names(count: int) -> tuple[str, ...]:
+    """Of an EXR image, without alpha."""
+    return {1: ("Y",), 3: ("R", "G", "B")}.get(count, tuple(f"C{k}" for k in range(count)))
 
 
 @contextmanager

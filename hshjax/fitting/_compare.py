@@ -6,12 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction
+from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._known import known
 from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import NORMS
 from hshjax.geometry import direction
 from hshjax.metrics import albedo, with_channels
-from hshjax.quadrature import isotropic_pair_rule
+from hshjax.quadrature import isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 ANGLES = (0.0, 45.0, 75.0)
@@ -19,6 +20,9 @@ ANGLES = (0.0, 45.0, 75.0)
 
 JUDGES = ("A", "D", "E")
 """Norms that differ in how they judge."""
+
+ANISOTROPIC = 16
+"""Degree of the rule for materials that are: over both azimuths, an isotropic one of degree 64 would not fit."""
 
 LOG_LIMIT = 80.0
 """Angle to the normal up to which the log error looks [degrees]: nearer the horizon measurements err most."""
@@ -44,7 +48,8 @@ class Comparison(NamedTuple):
 
 
 def compare(reference: Samples | PairFunction, candidate: Samples | PairFunction, *, degree: int = 64) -> Comparison:
-    """`candidate` against `reference`, on the samples of whichever has some, else on an isotropic rule of `degree`.
+    """`candidate` against `reference`, on the samples of whichever has some, else on an isotropic rule of `degree`;
+    on a `pair_rule` of degree 16 where one of them is anisotropic.
 
     Errors are relative to the reference. Samples of weight 0 do not count.
 
@@ -58,7 +63,8 @@ def compare(reference: Samples | PairFunction, candidate: Samples | PairFunction
     elif isinstance(candidate, Samples):
         rule = candidate
     else:
-        rule = Samples.from_function(reference, isotropic_pair_rule(degree))
+        isotropic = is_isotropic(reference) and is_isotropic(candidate)
+        rule = Samples.from_function(reference, isotropic_pair_rule(degree) if isotropic else pair_rule(ANISOTROPIC))
     rule = rule.cleared()
     for side in (reference, candidate):  # where a table has no value, there is nothing to compare
         if not isinstance(side, Samples):

@@ -7,8 +7,9 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from hshjax._typing import PairFunction
-from hshjax.bases import HSH, AbstractPairBasis, IsotropicBasis
+from hshjax.bases import HSH, AbstractPairBasis, HelmholtzBasis, IsotropicBasis, TensorBasis
 from hshjax.brdfs import GGX, AbstractBRDF, CookTorrance, ExpBRDF, HalfVectorTable, Lambert
+from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._known import known, table_samples
 from hshjax.fitting._compact import CompactFit, fit_compact, half_vector_samples
 from hshjax.fitting._compact_posterior import CompactPosterior
@@ -22,7 +23,7 @@ from hshjax.fitting._project import WHOLE, project
 from hshjax.fitting._project_by_moments import project_by_moments
 from hshjax.fitting._result import Fit, IterativeFit
 from hshjax.fitting._terms import SampleMisfit, Smoothness
-from hshjax.quadrature import isotropic_pair_rule
+from hshjax.quadrature import isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 MaterialModel = Literal["linear", "compact", "inferred", "exp", "cook-torrance", "ggx"]
@@ -71,12 +72,20 @@ def fit_material(
       to the energy, channel by channel. "cook-torrance", "ggx": that lobe and a diffuse part, from many starts.
     - `constraints`: of a linear model, see `project`.
 
-    **Raises:** ValueError as these functions do; for another model.
+    An anisotropic BRDF takes a linear model, over the `HelmholtzBasis` of the same functions, on a `pair_rule`.
+
+    **Raises:** ValueError as these functions do; for another model, and another one than linear where the BRDF is
+    anisotropic.
     """
     if model not in get_args(MaterialModel):
         raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
     pairs = IsotropicBasis(HSH(8)) if basis is None else basis
-    if isinstance(data, Samples):
+    if not isinstance(data, Samples) and not is_isotropic(data):
+        if model != "linear":
+            raise ValueError(f"this material is anisotropic: model must be linear, in a basis for that, got {model!r}")
+        pairs = _anisotropic(pairs)
+        samples = table_samples(data, pair_rule(max(16, 2 * pairs.basis.order)))
+    elif isinstance(data, Samples):
         samples = levelled(data)
     elif isinstance(data, HalfVectorTable) and model == "linear":
         samples = data.node_samples()
@@ -100,6 +109,15 @@ def fit_material(
     if model == "exp":
         return _exponential(pairs, samples, ridge, max_steps, begin)
     return _lobe(model, samples, max_steps, begin)
+
+
+def _anisotropic(pairs: AbstractPairBasis) -> HelmholtzBasis | TensorBasis:
+    """The basis itself, or the reciprocal one for anisotropic materials over the same functions of one direction."""
+    if isinstance(pairs, IsotropicBasis):
+        return HelmholtzBasis(pairs.basis)
+    if isinstance(pairs, HelmholtzBasis | TensorBasis):
+        return pairs
+    raise ValueError(f"this material is anisotropic, which {pairs} cannot follow")
 
 
 def _along_highlight(brdf: PairFunction) -> Samples:

@@ -6,12 +6,13 @@ from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
-from hshjax.brdfs import HalfVectorTable
+from hshjax.brdfs import AngleTable, HalfVectorTable
+from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._known import table_samples
-from hshjax.io import alta, astm, csv_samples, fred, merl, zemax
+from hshjax.io import alta, astm, csv_samples, fred, merl, rgl, utia, zemax
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
-from hshjax.quadrature import PairRule, isotropic_pair_rule
+from hshjax.quadrature import PairRule, isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 HEAD = 8192
@@ -21,15 +22,8 @@ DEGREE = 64
 """Of the rule that samples a table, unless another is given."""
 
 
-def _sniff_rgl(head, size):
-    return head.startswith(b"tensor_file\0")
-
-
-def _measured_rgl(path, *, negatives="keep"):
-    from hshjax.io.rgl import read_rgl
-
-    t = read_rgl(path)
-    return Measured(t, Findings("RGL", t.description, t.channel_names, "sr^-1", 10))
+ANISOTROPIC = 16
+"""Of the rule that samples an anisotropic one, over both azimuths."""
 
 
 class Format(NamedTuple):
@@ -40,19 +34,20 @@ class Format(NamedTuple):
     measured: Callable[..., Measured]
 
 
-def _text(sniff: Callable[[bytes], bool]) -> Callable[[bytes, int], bool]:
-    """Text files tell their format by their first lines, whatever their size."""
+def _head(sniff: Callable[[bytes], bool]) -> Callable[[bytes, int], bool]:
+    """The first bytes alone tell."""
     return lambda head, size: sniff(head)
 
 
 FORMATS: dict[str, Format] = {
-    "rgl": Format("RGL material (tensor_file)", _sniff_rgl, _measured_rgl),
+    "rgl": Format("RGL material (tensor_file)", _head(rgl.sniff), rgl.measured_rgl),
     "merl": Format("MERL binary", merl.sniff, merl.measured_merl),
-    "alta": Format("ALTA text", _text(alta.sniff), alta.measured_alta),
-    "fred": Format("FRED BSDF data", _text(fred.sniff), fred.measured_fred),
-    "zemax": Format("Zemax tabular BSDF", _text(zemax.sniff), zemax.measured_zemax),
-    "astm": Format("ASTM E1392 text", _text(astm.sniff), astm.measured_astm),
-    "csv": Format("CSV with named columns", _text(csv_samples.sniff), csv_samples.measured_csv_samples),
+    "alta": Format("ALTA text", _head(alta.sniff), alta.measured_alta),
+    "fred": Format("FRED BSDF data", _head(fred.sniff), fred.measured_fred),
+    "zemax": Format("Zemax tabular BSDF", _head(zemax.sniff), zemax.measured_zemax),
+    "astm": Format("ASTM E1392 text", _head(astm.sniff), astm.measured_astm),
+    "csv": Format("CSV with named columns", _head(csv_samples.sniff), csv_samples.measured_csv_samples),
+    "utia": Format("UTIA binary", utia.sniff, utia.measured_utia),
 }
 """The first one whose `sniff` agrees reads a file: formats with a mark of their own come first, the loosest last."""
 
@@ -91,16 +86,18 @@ def read_samples(
     """The samples of any measured file, and what its reader found.
 
     A table is evaluated at the nodes of `rule`, weighted by solid angle; None: at its own nodes where these are pairs
-    of directions (MERL), else on an `isotropic_pair_rule` of degree 64. Where nothing was measured the weight is 0.
-    Scattered samples are as they were measured, and have no rule.
+    of directions (MERL, UTIA), else on an `isotropic_pair_rule` of degree 64, of anisotropic materials on a `pair_rule`
+    of degree 16. Where nothing was measured the weight is 0. Scattered samples are as they were measured, and have no rule.
 
     **Raises:** as `read_measured`; ValueError for a rule given along with scattered samples.
     """
     data, found = read_measured(path, negatives=negatives)
     if not isinstance(data, Samples):
-        if rule is None and isinstance(data, HalfVectorTable):
+        if rule is None and isinstance(data, AngleTable | HalfVectorTable):
             return data.node_samples(), found
-        return table_samples(data, isotropic_pair_rule(DEGREE) if rule is None else rule), found
+        if rule is None:
+            rule = isotropic_pair_rule(DEGREE) if is_isotropic(data) else pair_rule(ANISOTROPIC)
+        return table_samples(data, rule), found
     if rule is not None:
         raise ValueError(
             f"{path}: scattered samples ({found.format}) lie where they were measured; a rule is for tables"

@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 from hshjax.brdfs import AbstractBRDF
 from hshjax.io.csv_samples import write_csv_samples
+from hshjax.io.glsl import write_glsl
+from hshjax.io.measured import Negatives
 from hshjax.io.merl import write_merl
 from hshjax.io.model import save_model
 from hshjax.quadrature import isotropic_pair_rule
@@ -24,8 +26,12 @@ def _model(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None
     save_model(path, _brdf(data, ".hshjax"))
 
 
-def _merl(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None:
-    write_merl(path, _brdf(data, ".binary"), repeat=True)
+def _merl(path: str | PathLike, data: AbstractBRDF | Samples, *, negatives: Negatives, **_: Any) -> None:
+    write_merl(path, _brdf(data, ".binary"), repeat=True, negatives=None if negatives == "keep" else negatives)
+
+
+def _glsl(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None:
+    write_glsl(path, _brdf(data, ".glsl"))
 
 
 def _csv(path: str | PathLike, data: AbstractBRDF | Samples, *, degree: int, **_: Any) -> None:
@@ -37,22 +43,30 @@ def _csv(path: str | PathLike, data: AbstractBRDF | Samples, *, degree: int, **_
 WRITERS: dict[str, Writer] = {
     ".hshjax": Writer("a model of this library, or a table as one", _model),
     ".binary": Writer("MERL", _merl),
+    ".glsl": Writer("a function of GLSL, of a fitted model", _glsl),
     ".csv": Writer("samples in CSV", _csv),
 }
 """By suffix."""
 
 
 def write_material(
-    path: str | PathLike, data: AbstractBRDF | Samples, *, to: str | None = None, degree: int = 64
+    path: str | PathLike,
+    data: AbstractBRDF | Samples,
+    *,
+    to: str | None = None,
+    degree: int = 64,
+    negatives: Negatives = "keep",
 ) -> None:
     """Write a BRDF or samples; written beside and renamed.
 
     - `to`: a suffix in `WRITERS`, with or without its point; None: that of `path`.
     - `degree`: of the rule that samples a BRDF, where samples are written.
+    - `negatives`: of the BRDF, where the format has no room for them (MERL): "keep" refuses them, "clip" makes them 0,
+      "mask" marks them as not measured.
 
     **Raises:** ValueError for a format that is not written, or cannot hold this material; OSError.
     """
-    WRITERS[writer_suffix(path, to)].write(path, data, degree=degree)
+    WRITERS[writer_suffix(path, to)].write(path, data, degree=degree, negatives=negatives)
 
 
 def writer_suffix(path: str | PathLike, to: str | None = None) -> str:

@@ -13,6 +13,7 @@ import time
 import traceback
 import zlib
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 import jax
@@ -109,8 +110,9 @@ def main() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
         for name, (content, readers) in found.items():
             count, faults = 0, []
-            variants = [*hostile_variants(content).items(), *binary_variants(content)]
-            for what, changed in variants:
+            large = len(content) > 2**20  # all variants at once must fit into the limit, too
+            variants = hostile_variants(content, flips=8 if large else 64).items()
+            for what, changed in chain(variants, binary_variants(content)):
                 path.write_bytes(changed)
                 for read in readers:
                     count += 1

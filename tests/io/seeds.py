@@ -65,9 +65,14 @@ def _png() -> bytes:
     return imagecodecs.png_encode(np.random.default_rng(0).integers(0, 2**16, (6, 7, 3), dtype=np.uint16))
 
 
+def _utia() -> bytes:
+    return np.random.default_rng(0).uniform(0.1, 1, 3 * 288 * 288).astype("<f8").tobytes()
+
+
 MEASURED: dict[str, Callable[[], bytes]] = {
     "rgl": _rgl,
     "merl": _merl,
+    "utia": _utia,
     **{one.name: (lambda content=one.content: content) for one in text_formats.FORMATS},
 }
 """Of every format in `FORMATS`."""
