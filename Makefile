@@ -15,12 +15,14 @@ PARALLEL := -n auto --dist worksteal
 FLOAT32 := tests/bases/test_laws.py tests/test_quadrature.py tests/test_geometry.py tests/test_samples.py tests/test_metrics.py
 # Extra arguments of every pytest run: make test PYTEST_ARGS="-x -k basis"
 PYTEST_ARGS ?=
+# Of all readers together: make fuzz FUZZ_SECONDS=3600
+FUZZ_SECONDS ?= 60
 # Interpreters of `make test-matrix`.
 MATRIX := 3.11 3.12 3.13
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help demo peers test test-float64 test-float32 test-slow test-matrix lock bench clean setup
+.PHONY: help demo fuzz peers test test-float64 test-float32 test-slow test-matrix lock bench clean setup
 .PHONY: check check-lint check-format check-types check-floors
 
 help: ## List the targets
@@ -73,6 +75,9 @@ check-types: $(VENV)/.installed-check
 check-floors: $(VENV)/.installed-check
 	$(PYTEST) -q tests/test_layers.py
 
+fuzz: $(VENV)/.installed-fuzz ## Readers under random damage for FUZZ_SECONDS [60], by atheris, or Hypothesis without it
+	$(PYTHON_IN_VENV) -m tests.fuzz --seconds $(FUZZ_SECONDS)
+
 lock: $(VENV)/.installed ## Resolve pyproject.toml into uv.lock anew
 	$(UV) lock --upgrade
 
@@ -82,7 +87,7 @@ bench: $(VENV)/.installed ## Run the benchmarks (not part of the tests)
 setup: $(VENV)/.installed ## Create the environment only
 
 clean: ## Remove environments, caches and build outputs; runs/ stays
-	rm -rf $(VENV) .venv-3.* .peers .pytest_cache .ruff_cache .hypothesis build dist
+	rm -rf $(VENV) .venv-3.* .peers .fuzz .pytest_cache .ruff_cache .hypothesis build dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(PYTHON_IN_VENV):
@@ -99,4 +104,8 @@ $(VENV)/.installed: pyproject.toml uv.lock | $(PYTHON_IN_VENV)
 
 $(VENV)/.installed-check: $(VENV)/.installed
 	$(UV) sync --frozen --inexact --all-extras --group check
+	@touch $@
+
+$(VENV)/.installed-fuzz: $(VENV)/.installed
+	$(UV) sync --frozen --inexact --all-extras --group fuzz
 	@touch $@

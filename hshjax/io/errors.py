@@ -3,6 +3,10 @@
 from os import PathLike
 
 
+LONGEST = 300
+"""Characters of a part of a message."""
+
+
 class FileFormatError(ValueError):
     """A file is not what its reader expects.
 
@@ -19,4 +23,9 @@ class FileFormatError(ValueError):
         self.file, self.where, self.expected, self.got = str(file), where, expected, got
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.where}: expected {self.expected}, got {self.got}"
+        return f"{self.file}: {_short(self.where)}: expected {_short(self.expected)}, got {_short(self.got)}"
+
+
+def _short(words: str) -> str:
+    """What is quoted from a file may be as long as it."""
+    return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."

@@ -60,9 +60,9 @@ def read_photographs_npz(
         except FileFormatError:
             raise
         except ValueError as error:  # objects, and what is no array at all
-            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", _said(error)) from error
+            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", str(error) or type(error).__name__) from error
         except DAMAGES as error:
-            raise FileFormatError(path, "archive", "an intact one (.npz)", _said(error)) from error
+            raise FileFormatError(path, "archive", "an intact one (.npz)", str(error) or type(error).__name__) from error
     fields = _Arrays(path, arrays)
     images = fields.get("images", "uf", (3, 4))
     if images is None:

@@ -87,7 +87,8 @@ def read_samples(
 
     A table is evaluated at the nodes of `rule`, weighted by solid angle; None: at its own nodes where these are pairs
     of directions (MERL, UTIA), else on an `isotropic_pair_rule` of degree 64, of anisotropic materials on a `pair_rule`
-    of degree 16. Where nothing was measured the weight is 0. Scattered samples are as they were measured, and have no rule.
+    of degree 16. Where nothing was measured the weight is 0. Scattered samples are as they were measured, and have no
+    rule.
 
     **Raises:** as `read_measured`; ValueError for a rule given along with scattered samples.
     """
