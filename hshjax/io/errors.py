@@ -27,5 +27,6 @@ class FileFormatError(ValueError):
 
 
 def _short(words: str) -> str:
-    """What is quoted from a file may be as long as it."""
+    """On one line; what is quoted from a file may be as long as it."""
+    words = " ".join(words.split())
     return words if len(words) <= LONGEST else f"{words[:LONGEST]}..."

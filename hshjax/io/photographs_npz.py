@@ -60,9 +60,9 @@ def read_photographs_npz(
         except FileFormatError:
             raise
         except ValueError as error:  # objects, and what is no array at all
-            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", str(error) or type(error).__name__) from error
+            raise FileFormatError(path, "archive", "arrays of numbers (.npz), without pickle", _said(error)) from error
         except DAMAGES as error:
-            raise FileFormatError(path, "archive", "an intact one (.npz)", str(error) or type(error).__name__) from error
+            raise FileFormatError(path, "archive", "an intact one (.npz)", _said(error)) from error
     fields = _Arrays(path, arrays)
     images = fields.get("images", "uf", (3, 4))
     if images is None:
@@ -133,6 +133,5 @@ class _Arrays:
 
 
 def _said(error: Exception) -> str:
-    """What a library says, which may quote the file at length."""
-    said = f"{error}" or type(error).__name__
-    return said if len(said) <= 200 else f"{said[:200]}..."
+    """What a library says, or what it calls that."""
+    return str(error) or type(error).__name__
