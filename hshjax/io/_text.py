@@ -17,7 +17,7 @@ import numpy as np
 from hshjax.io.errors import FileFormatError
 
 MAX_BYTES = 512 * 2**20
-"""Of a text file: about five million samples. Their lines take some six times that in memory."""
+"""Of a text file: about five million samples. Reading takes some five times that in memory."""
 
 HEAD = 2**16
 BLOCK = 2**14
