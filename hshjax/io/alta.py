@@ -56,7 +56,7 @@ def measured_alta(path: str | os.PathLike, *, negatives: Negatives = "keep") -> 
     Values of `INV_STERADIAN_COSINE_FACTOR` are divided by cos θ_o; values of a file that does not name them are taken
     as sr^-1. Coordinates that leave the pair of directions open stand for one pair, named in the notes; those that do
     not exist (a half vector longer than 1) are dropped and counted. Confidence intervals are checked and left out.
-    Isotropic parametrisations give isotropic samples, with wi or wo at φ = 0.
+    Isotropic parametrisations give isotropic samples; where their pairs lie in azimuth means nothing.
 
     **Raises:** FileFormatError, naming the line, for what `hshjax.io._text` refuses, a header that is not complete,
     names that are ambiguous or unknown, angles above π, cosines above 1 and vectors that are not unit; OSError where

@@ -28,7 +28,8 @@ Scattered directions are given around the specular one: radial is the angle from
 the normal, and azimuths increase counter-clockwise as seen from outside. With light at φ = 0 the specular direction is
 s = (-sin θ, 0, cos θ) and wo = cos r s + sin r (cos a (cos θ, 0, sin θ) + sin a (0, 1, 0)). Source: Zemax knowledge
 base, "BSDF data interchange file format specification" (R. Rykowski, 2008, and its later revision); libbsdf
-(`SpecularCoordinateSystem`) agrees, and so does a file in this format of the material that there is in FRED's, too.
+(`SpecularCoordinateSystem`) agrees, and so do the values of a black coating that was published in this format and in
+FRED's (University of Arizona, `ua-loft/bsdf-tools`).
 
 Assumed, for the specification is a figure here: a sample rotation of R turns the sample counter-clockwise, so that in
 its frame light comes from φ = -R.

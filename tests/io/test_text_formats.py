@@ -14,7 +14,7 @@ from hshjax.samples import Samples
 from tests.io.hostile import SAME, beginning, flipped, hostile_variants, outcome, part, same
 from tests.io.text_formats import FORMATS
 
-SHAPED = ("astm", "zemax")
+COUNTED = ("astm", "zemax")
 """Formats that count their samples: nothing is read of a file that was cut off."""
 
 each_format = pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
@@ -34,7 +34,7 @@ def test_hostile_variants(form, whole, tmp_path):
         if name in SAME:
             assert same(found, whole), name
         elif name.startswith("cut") and content.endswith(b"\n") and isinstance(found, Samples):
-            assert form.name not in SHAPED, name
+            assert form.name not in COUNTED, name
             assert beginning(found, whole), name
         elif name == "no last line end" and form.name == "zemax":
             assert same(found, whole)  # DataEnd says that nothing is missing
@@ -57,10 +57,10 @@ def test_every_line_end_of_a_cut_file(form, whole, tmp_path):
     for end in ends[:-1]:
         found = outcome(form.read, tmp_path / "a.txt", form.content[:end])
         if isinstance(found, Samples):
-            assert form.name not in SHAPED
+            assert form.name not in COUNTED
             assert beginning(found, whole)
             read += 1
-    assert read > 0 or form.name in SHAPED
+    assert read > 0 or form.name in COUNTED
 
 
 def check_flip(form, whole, tmp_path, place: int) -> None:
