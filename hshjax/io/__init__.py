@@ -14,6 +14,6 @@ from hshjax.io.photograph_layers import read_photograph_layers as read_photograp
 from hshjax.io.photographs import read_photographs as read_photographs
 from hshjax.io.photographs_npz import read_photographs_npz as read_photographs_npz
 from hshjax.io.ply import write_ply as write_ply
-from hshjax.io.rgl import measured_rgl as measured_rgl, read_rgl as read_rgl
+from hshjax.io.rgl import measured_rgl as measured_rgl, read_rgl as read_rgl, write_rgl as write_rgl
 from hshjax.io.tensor_file import read_tensor_file as read_tensor_file, write_tensor_file as write_tensor_file
 from hshjax.io.utia import measured_utia as measured_utia, read_utia as read_utia
