@@ -1,14 +1,16 @@
 """Materials of the RGL database (Dupuy and Jakob 2018): isotropic and anisotropic, RGB and spectral."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from os import PathLike
 
 import numpy as np
 
+from hshjax._typing import PairFunction
 from hshjax.brdfs import RGLTable, TabulatedBRDF
+from hshjax.io._rgl_resample import resampled
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
-from hshjax.io.tensor_file import MAGIC, read_tensor_file
+from hshjax.io.tensor_file import MAGIC, read_tensor_file, write_tensor_file
 
 HALF_PI = np.float32(np.pi / 2) * (1 + 1e-6)
 """Files store the last elevation in float32, which may lie above π/2."""
@@ -132,6 +134,43 @@ def _channels(fields: "_Fields", turns: int, elevations: int) -> tuple[np.ndarra
     )
     names = tuple(f"{wavelength:g} nm" for wavelength in wavelengths.tolist())
     return fields.grid("spectra", turns, elevations, wavelengths.size), names
+
+
+def write_rgl(
+    path: str | PathLike,
+    brdf: PairFunction,
+    *,
+    slices: int = 24,
+    size: int = 64,
+    wavelengths: Sequence[float] | None = None,
+    description: str = "",
+) -> None:
+    """An isotropic BRDF [sr^-1] as a `.bsdf` file that the `measured` plugin of Mitsuba 3 renders; written beside it first.
+
+    `slices` angles of incidence from 0 to 89 degrees, evenly, each with `size` x `size` values at places that suit the
+    material (see `_rgl_resample`). Three channels are R, G, B; with `wavelengths` [nm], one a channel, the file is a
+    spectral one. The table is as coarse as its steps, and files are in float32: read it back to see the error. What the
+    files of the database say besides, the mask of entries that were not measured, is left out.
+
+    **Raises:** ValueError for an anisotropic BRDF, values that are not finite, channels that do not fit, or too few
+    slices or values.
+    """
+    if min(slices, size) < 2:
+        raise ValueError(f"a table needs 2 slices and 2 x 2 values at least, got slices={slices}, size={size}")
+    tables = resampled(brdf, slices, size)
+    values = tables.pop("values")
+    channels = values.shape[2]
+    if wavelengths is None:
+        if channels != 3:
+            raise ValueError(f"an RGB file has 3 channels, got {channels}: give their `wavelengths`")
+        named = {"rgb": values}
+    else:
+        nanometres = np.asarray(wavelengths, np.float32)
+        if nanometres.shape != (channels,) or not (nanometres[0] > 0 and np.all(np.diff(nanometres) > 0)):
+            raise ValueError(f"wavelengths must be {channels} rising numbers [nm], one a channel, got {wavelengths}")
+        named = {"spectra": values, "wavelengths": nanometres}
+    head = {"description": np.frombuffer(description.encode(), np.uint8), "phi_i": np.zeros(1, np.float32)}
+    write_tensor_file(path, head | tables | named | {"jacobian": np.ones(1, np.uint8)})
 
 
 class _Fields:
