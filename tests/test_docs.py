@@ -34,7 +34,7 @@ RUN = [
 
 LONG = (
     "fit_by_gradients", "fit_parameters", "light_a_surface", "natural_light", "photometric_stereo", "refine_jointly",
-    "shape_from_shading",
+    "render_elsewhere", "shape_from_shading",
 )  # fmt: skip
 """They compile whole fits or images, in a process of their own."""
 
