@@ -1,6 +1,8 @@
 """The `hshjax` command: what it prints, what it keeps, what it refuses."""
 
 import json
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,8 @@ from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import CookTorrance, ExpBRDF, OrenNayar
 from hshjax.cli import app
 from hshjax.fitting import project
-from hshjax.io import exr_channels, load_model, read_exr, save_model, write_exr
+from hshjax.geometry import direction, from_half_difference
+from hshjax.io import exr_channels, load_model, read_exr, save_model, write_csv_samples, write_exr
 from hshjax.metrics import albedo
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
@@ -237,6 +240,7 @@ def test_a_fault_of_the_program_shows_where_it_is(model, monkeypatch):
     assert isinstance(run("info", model).exception, TypeError)
 
 
+@pytest.mark.slow
 def test_pictures_hold_what_reflects(model, tmp_path):
     """Under light from everywhere, the radiance is the albedo; an EXR has it, with alpha."""
     brdf = load_model(model)
@@ -255,3 +259,91 @@ def test_pictures_hold_what_reflects(model, tmp_path):
     figures = json.loads(done.stdout)
     assert 0 < figures["noise"] < 0.1
     np.testing.assert_allclose(figures["mean_radiance"], 2 * image[alpha > 0].mean(), rtol=0.02)
+
+
+def scattered(path, limit=60.0):
+    """A gonioreflectometer's table: three incidences, no direction beyond `limit` degrees."""
+    theta_i, theta_o, phi = (
+        axis.ravel() for axis in np.meshgrid([10.0, 30.0, 50.0], np.arange(2.5, limit, 7.5), np.arange(0, 360, 30.0))
+    )
+    wi = direction(jnp.radians(theta_i), jnp.zeros(phi.size))
+    wo = direction(jnp.radians(theta_o), jnp.radians(phi))
+    value = OrenNayar([0.5, 0.3], 0.3)(wi, wo)
+    write_csv_samples(path, Samples.scattered(wi, wo, value, isotropic=True), ("550 nm", "650 nm"))
+    return wi, wo, value
+
+
+@pytest.mark.parametrize("kind", ["linear", "inferred", slow_unless(False, "compact"), slow_unless(False, "ggx")])
+def test_a_table_of_a_goniometer_is_fitted(tmp_path, kind):
+    """Few incidences, nothing near the horizon: what was measured is met, and what was not is said."""
+    wi, wo, value = scattered(tmp_path / "table.csv")
+    described = json.loads(run("info", tmp_path / "table.csv", "--json").stdout)
+    assert described["incidences"] == 3
+    assert described["theta_o_degrees"] == pytest.approx([2.5, 55])
+    assert described["channels"] == ["550 nm", "650 nm"]
+    options = ("--order", 3) if kind == "linear" else ("--coefficients", 30)
+    done = run("fit", tmp_path / "table.csv", "--model", kind, *options, "--out", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.output + done.stderr
+    metrics = json.loads(done.stdout)
+    assert "beyond θ_i 50 and θ_o 55 degrees" in metrics["extrapolated"]
+    fitted = load_model(tmp_path / "out" / "model.hshjax")
+    wanted = 0.02 if kind != "ggx" else 0.1  # a lobe and Lambert's law are another model
+    assert max(metrics["relative_error_A"]) < wanted
+    np.testing.assert_allclose(np.asarray(fitted(wi, wo)), np.asarray(value), rtol=0.1 if kind != "ggx" else 0.4)
+    grazing = direction(jnp.radians(jnp.asarray([85.0, 89.0])), jnp.zeros(2))
+    assert np.all(np.isfinite(np.asarray(fitted(grazing, grazing))))
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".binary", ".bsdf", ".glsl", ".exr", ".hshjax"])
+def test_a_model_is_converted(tmp_path, suffix):
+    """What is written is read again, and is the same material as far as the format goes."""
+    source, target = tmp_path / "paint.hshjax", tmp_path / f"out{suffix}"
+    brdf = ExpBRDF(IsotropicBasis(HSH(1)), jnp.full((4, 3), -0.5))
+    save_model(source, brdf)
+    done = run("convert", source, target, "--degree", 8)
+    assert done.exit_code == 0, done.output + done.stderr
+    if suffix == ".glsl":
+        assert "vec3 hshjax_brdf(vec3 wi, vec3 wo)" in target.read_text()
+    elif suffix == ".exr":
+        wi, wo = from_half_difference(*jnp.radians(jnp.asarray([45.25, 45.25, 90.0])))
+        np.testing.assert_allclose(read_exr(target)[89, 90], np.asarray(brdf(wi, wo)), rtol=1e-5)
+    else:
+        compared = run("compare", source, target, "--degree", 8, "--json")
+        assert compared.exit_code == 0, compared.output + compared.stderr
+        exact = suffix in (".csv", ".hshjax")
+        assert max(json.loads(compared.stdout)["relative_error_E"]) < (1e-6 if exact else 0.02)
+
+
+def test_samples_are_no_brdf(tmp_path):
+    scattered(tmp_path / "table.csv")
+    for arguments in (
+        ("convert", tmp_path / "table.csv", tmp_path / "x.binary"),
+        ("convert", tmp_path / "table.csv", tmp_path / "x.exr"),
+        ("render", tmp_path / "table.csv", "--out", tmp_path / "x.png"),
+        ("compare", tmp_path / "table.csv", tmp_path / "table.csv"),
+    ):
+        refused = run(*arguments)
+        assert refused.exit_code == 1, refused.output
+        assert "scattered samples" in refused.stderr
+    done = run("convert", tmp_path / "table.csv", tmp_path / "again.csv")
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(run("info", tmp_path / "again.csv", "--json").stdout)["entries"] == 3 * 8 * 12
+
+
+def test_the_real_process_ends_as_it_says(model, tmp_path):
+    """Ctrl-C before a command has begun, bad usage, bad input and success, by the exit codes of processes."""
+    run_main = "import sys; from hshjax.cli import main; sys.argv = ['hshjax', *sys.argv[1:]]; main()"
+    interrupted = "import hshjax.cli\ndef stop(): raise KeyboardInterrupt\nhshjax.cli.keep_programs = stop\n" + run_main
+    for source, arguments, status in (
+        (run_main, ("info", str(model), "--json"), 0),
+        (run_main, ("info", str(tmp_path / "gone"), "--json"), 1),
+        (run_main, ("info",), 2),
+        (interrupted, ("info", str(model)), 130),
+    ):
+        done = subprocess.run([sys.executable, "-c", source, *arguments], capture_output=True, text=True, check=False)
+        assert done.returncode == status, done.stderr
+        assert "Traceback" not in done.stderr
+        if status == 0:
+            assert json.loads(done.stdout)["kind"] == "LinearBRDF"
+        else:
+            assert done.stdout == ""

@@ -24,7 +24,7 @@ def convert(
 ) -> None:
     """Write a material in another format.
 
-    .binary (MERL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or a table),
+    .binary (MERL), .bsdf (RGL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or a table),
     .exr (its slice over half and difference angle).
 
     Examples:

@@ -86,20 +86,31 @@ def _series(figures: Figures, brdf: Any) -> None:
 def describe_energy(figures: Figures, brdf: Any) -> None:
     """Albedos, the smallest value and the negative share: takes an evaluation of the BRDF in many directions."""
     import jax.numpy as jnp
+    import numpy as np
 
+    from hshjax.brdfs._isotropy import is_isotropic
     from hshjax.geometry import direction
     from hshjax.metrics import albedo, hemispherical_albedo, negativity
-    from hshjax.quadrature import hemisphere_rule, isotropic_pair_rule
+    from hshjax.quadrature import hemisphere_rule, isotropic_pair_rule, pair_rule
 
-    theta = jnp.deg2rad(jnp.asarray(ANGLES))
+    known = getattr(getattr(brdf, "basis", None), "isotropic", None)
+    isotropic = is_isotropic(brdf) if known is None else known
+    # All directions at once, and of isotropic BRDFs those at one azimuth: a command is to start at once.
+    node, weight = np.polynomial.legendre.leggauss(24)
+    z, weight = (node + 1) / 2, weight / 2
+    theta = jnp.asarray([*np.radians(ANGLES), *np.arccos(z)])
     directional = albedo(brdf, direction(theta, jnp.zeros_like(theta)), hemisphere_rule(64))
+    rows, along = directional[: len(ANGLES)], directional[len(ANGLES) :]
     figures.add(
-        "albedo", {f"{angle:g}": row for angle, row in zip(ANGLES, directional, strict=True)},
-        "albedo at 0, 45, 75 degrees", "   ".join(numbers(row) for row in directional),
+        "albedo", {f"{angle:g}": row for angle, row in zip(ANGLES, rows, strict=True)},
+        "albedo at 0, 45, 75 degrees", "   ".join(numbers(row) for row in rows),
     )  # fmt: skip
-    white = hemispherical_albedo(brdf, hemisphere_rule(32))
+    if isotropic:
+        white = 2 * jnp.sum(jnp.asarray(weight * z)[:, None] * along, axis=0)
+    else:
+        white = hemispherical_albedo(brdf, hemisphere_rule(32))
     figures.add("hemispherical_albedo", white, words=numbers(white))
-    negative = negativity(brdf, isotropic_pair_rule(32))
+    negative = negativity(brdf, isotropic_pair_rule(32) if isotropic else pair_rule(16))
     smallest, share = float(negative.minimum), float(negative.share)
     figures.add("smallest_value", smallest, words=f"{smallest:.3g} sr^-1")
     figures.add("negative_share", share, "negative share of the energy", f"{share:.2g}")

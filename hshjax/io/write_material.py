@@ -11,6 +11,7 @@ from hshjax.io.glsl import write_glsl
 from hshjax.io.measured import Negatives
 from hshjax.io.merl import write_merl
 from hshjax.io.model import save_model
+from hshjax.io.rgl import write_rgl
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 
@@ -30,6 +31,11 @@ def _merl(path: str | PathLike, data: AbstractBRDF | Samples, *, negatives: Nega
     write_merl(path, _brdf(data, ".binary"), repeat=True, negatives=None if negatives == "keep" else negatives)
 
 
+def _rgl(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None:
+    brdf = _brdf(data, ".bsdf")
+    write_rgl(path, brdf, description=getattr(brdf, "description", ""))
+
+
 def _glsl(path: str | PathLike, data: AbstractBRDF | Samples, **_: Any) -> None:
     write_glsl(path, _brdf(data, ".glsl"))
 
@@ -43,6 +49,7 @@ def _csv(path: str | PathLike, data: AbstractBRDF | Samples, *, degree: int, **_
 WRITERS: dict[str, Writer] = {
     ".hshjax": Writer("a model of this library, or a table as one", _model),
     ".binary": Writer("MERL", _merl),
+    ".bsdf": Writer("RGL, as Mitsuba renders it", _rgl),
     ".glsl": Writer("a function of GLSL, of a fitted model", _glsl),
     ".csv": Writer("samples in CSV", _csv),
 }
