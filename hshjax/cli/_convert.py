@@ -24,8 +24,8 @@ def convert(
 ) -> None:
     """Write a material in another format.
 
-    .binary (MERL), .bsdf (RGL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or a table),
-    .exr (its slice over half and difference angle).
+    .binary (MERL), .bsdf (RGL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or
+    a table), .exr (its slice over half and difference angle).
 
     Examples:
 
