@@ -32,7 +32,6 @@ from hshjax.io.read_measured import (
     read_samples as read_samples,
 )
 from hshjax.io.read_mesh import read_mesh as read_mesh
-from hshjax.io.rgl import measured_rgl as measured_rgl, read_rgl as read_rgl
 from hshjax.io.rgl import measured_rgl as measured_rgl, read_rgl as read_rgl, write_rgl as write_rgl
 from hshjax.io.tensor_file import read_tensor_file as read_tensor_file, write_tensor_file as write_tensor_file
 from hshjax.io.utia import measured_utia as measured_utia, read_utia as read_utia

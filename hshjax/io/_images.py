@@ -121,7 +121,7 @@ def _decoded(path: Path, content: bytes) -> np.ndarray:
 def _check_png(path: Path, content: bytes) -> None:
     """That pixels of the size that the header declares are worth unpacking (PNG specification, section 11.2.2)."""
     if len(content) < 26 or content[12:16] != b"IHDR":
-        raise FileFormatError(path, "byte 8", "the header of a PNG image", repr(content[8:26]))
+        return  # which the library refuses
     columns, rows, bits, kind = struct.unpack_from(">IIBB", content, 16)
     channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}.get(kind, 4)  # a palette of colours is looked up
     check_expansion(path, "header", columns * rows * channels * max(1, bits // 8), len(content))

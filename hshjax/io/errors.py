@@ -2,7 +2,6 @@
 
 from os import PathLike
 
-
 LONGEST = 300
 """Characters of a part of a message."""
 
