@@ -20,8 +20,8 @@ def mirrored(w: np.ndarray) -> np.ndarray:
 def from_half_and_difference(theta_h: np.ndarray, phi_h: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """wi, wo from the half vector's angles and the difference vector d `(n, 3)`, which belongs to wo.
 
-    d is wo in the frame of the half vector, wo = R_z(φ_h) R_y(θ_h) d, and wi = 2 (h·wo) h - wo. (Rusinkiewicz 1998 has d
-    for wi; of a reciprocal material φ_d and φ_d + π are the same.)
+    d is wo in the frame of the half vector, wo = R_z(φ_h) R_y(θ_h) d, and wi = 2 (h·wo) h - wo. (Rusinkiewicz 1998 has
+    d for wi; of a reciprocal material φ_d and φ_d + π are the same.)
     """
     sin_h, cos_h, sin_p, cos_p = np.sin(theta_h), np.cos(theta_h), np.sin(phi_h), np.cos(phi_h)
     x, y, z = cos_h * d[:, 0] + sin_h * d[:, 2], d[:, 1], -sin_h * d[:, 0] + cos_h * d[:, 2]
