@@ -8,13 +8,17 @@ import struct
 import zlib
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
+from hshjax.io._binary import whole_file
 from hshjax.io.errors import FileFormatError
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
+ORDERS = {b"IM": "<", b"MI": ">"}
+LARGEST = 2**28
+"""Bytes of an element when decompressed: a few can stand for any number of zeros."""
+
 MATRIX, COMPRESSED = 14, 15
 COMPLEX = 0x0800
 FLOATS = {6: np.float64, 7: np.float32}
@@ -27,14 +31,18 @@ def read_mat_floats(path: str | PathLike, name: str) -> np.ndarray:
     **Raises:** FileFormatError for other files, without that array, where it is of another class, and where sizes do
     not fit; OSError where the file cannot be opened.
     """
-    content = Path(path).read_bytes()
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
-    if order is None or content[124:126] not in (b"\x00\x01", b"\x01\x00"):
-        raise FileFormatError(path, "header", "a MATLAB file of version 5 to 7", repr(content[:20]))
+
+    def begins(head: bytes) -> None:
+        if head[126:128] not in ORDERS or head[124:126] not in (b"\x00\x01", b"\x01\x00"):
+            got = repr(head[:20]) if head else "an empty file"
+            raise FileFormatError(path, "header", "a MATLAB file of version 5 to 7", got)
+
+    content = whole_file(path, begins, 128)
+    order = ORDERS[content[126:128]]
     try:
         for kind, body in _elements(content[128:], order):
             if kind == COMPRESSED:
-                kind, body = next(_elements(zlib.decompress(body), order))
+                kind, body = next(_elements(_decompressed(body), order))
             if kind == MATRIX:
                 array = _floats(body, order, name)
                 if array is not None:
@@ -42,6 +50,16 @@ def read_mat_floats(path: str | PathLike, name: str) -> np.ndarray:
     except (ValueError, StopIteration, struct.error, zlib.error) as error:
         raise FileFormatError(path, "data", "elements whose types and sizes fit", f"others: {error}") from error
     raise FileFormatError(path, f"field {name!r}", "this field", "none of this name")
+
+
+def _decompressed(body: bytes) -> bytes:
+    stream = zlib.decompressobj()
+    content = stream.decompress(body, LARGEST)
+    if stream.unconsumed_tail:
+        raise ValueError(f"an element of more than {LARGEST} bytes")
+    if not stream.eof:
+        raise ValueError("a compressed element that is cut off")
+    return content
 
 
 def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:

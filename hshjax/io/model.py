@@ -13,6 +13,7 @@ import importlib.metadata
 import inspect
 import json
 import math
+import os
 import types as python_types
 import zlib
 from collections.abc import Sequence
@@ -27,6 +28,7 @@ import numpy as np
 
 import hshjax.bases
 import hshjax.brdfs
+from hshjax.io._binary import LARGEST
 from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
@@ -48,6 +50,9 @@ ADDED: dict[str, frozenset[str]] = {
     "RGLTable": frozenset(["phi_i"]),
 }
 """Fields that classes have got since they could be saved: a file from before means their defaults."""
+
+MAX_LINE = 2**24
+"""Bytes of line 1: thousands of arrays. A file without an end of line must not exhaust a machine."""
 
 MAX_DIMENSIONS = 32
 MAX_ORDER = 512
@@ -92,11 +97,16 @@ def load_model(path: str | PathLike, types: Sequence[type[eqx.Module]] = (), *, 
     **Raises:** FileFormatError for a file that is no such model, is damaged, is of a newer version or names an unknown
     class; ValueError where jax's configuration cannot hold a saved type; OSError where the file cannot be opened.
     """
-    line, newline, blob = Path(path).read_bytes().partition(b"\n")
-    header = _header(path, line, bool(newline))
-    if len(blob) != header["bytes"]:
-        what = "truncated" if len(blob) < header["bytes"] else "trailing bytes"
-        raise FileFormatError(path, "arrays", f"{header['bytes']} bytes after line 1", f"{len(blob)} ({what})")
+    with Path(path).open("rb") as file:
+        line = file.readline(MAX_LINE)
+        header = _header(path, line.removesuffix(b"\n"), line.endswith(b"\n"))
+        left = os.fstat(file.fileno()).st_size - len(line)
+        if left != header["bytes"]:
+            what = "truncated" if left < header["bytes"] else "trailing bytes"
+            raise FileFormatError(path, "arrays", f"{header['bytes']} bytes after line 1", f"{left} ({what})")
+        if left > LARGEST:
+            raise FileFormatError(path, "arrays", f"at most {LARGEST} bytes", f"{left}")
+        blob = file.read()
     if zlib.crc32(blob) != header["crc32"]:
         raise FileFormatError(path, "arrays", f"bytes of CRC-32 {header['crc32']}", f"{zlib.crc32(blob)}")
     reader = _Reader(path, blob, {t.__name__: t for t in types}, dtype)

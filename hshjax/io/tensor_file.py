@@ -11,10 +11,10 @@ import math
 import struct
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
+from hshjax.io._binary import whole_file
 from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
@@ -40,15 +40,18 @@ ALIGNMENT = 8
 def read_tensor_file(path: str | PathLike) -> dict[str, np.ndarray]:
     """The tensors of a file by name, in file order: read-only views of one buffer, so memory is that of the file.
 
-    **Raises:** FileFormatError where the header or a tensor does not fit the file; OSError where it cannot be opened.
+    **Raises:** FileFormatError where the header or a tensor does not fit the file, or the file has more than 2 GiB;
+    OSError where it cannot be opened.
     """
-    data = Path(path).read_bytes()
+
+    def begins(magic: bytes) -> None:
+        if magic != MAGIC:
+            raise FileFormatError(
+                path, "byte 0", f"a tensor_file, beginning with {MAGIC!r}", repr(magic) if magic else "an empty file"
+            )
+
+    data = whole_file(path, begins, len(MAGIC))
     cursor = _Cursor(path, data)
-    magic = data[: len(MAGIC)]
-    if magic != MAGIC:
-        raise FileFormatError(
-            path, "byte 0", f"a tensor_file, beginning with {MAGIC!r}", repr(magic) if magic else "an empty file"
-        )
     cursor.position = len(MAGIC)
     version = cursor.take("BB", "version")
     if version != VERSION:
