@@ -142,7 +142,7 @@ def write_rgl(
     *,
     slices: int = 24,
     size: int = 64,
-    wavelengths: Sequence[float] | None = None,
+    wavelengths: Sequence[float | int] | None = None,
     description: str = "",
 ) -> None:
     """An isotropic BRDF [sr^-1] as a `.bsdf` file, which the `measured` plugin of Mitsuba 3 renders; written beside and

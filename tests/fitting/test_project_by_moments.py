@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, SHR, HalfVectorBasis, HelmholtzBasis, IsotropicBasis, Zernike
+from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, Zernike
 from hshjax.brdfs import HalfVectorTable
 from hshjax.fitting import project, project_by_moments
 from hshjax.samples import Samples
@@ -66,8 +66,8 @@ def test_an_exact_fit_has_its_small_residual():
     np.testing.assert_allclose(fit.relative, expected.relative, rtol=1e-9)
 
 
-@pytest.mark.parametrize("basis", [HelmholtzBasis(HSH(1)), HalfVectorBasis(6)])
-def test_other_bases_go_to_qr(basis):
+def test_other_bases_go_to_qr():
+    basis = HelmholtzBasis(HSH(1))
     given = samples(400)
     given = Samples.scattered(given.wi, given.wo, given.value, given.weight)
     fit = project_by_moments(basis, given)
