@@ -66,7 +66,7 @@ class AngleTable(TabulatedBRDF):
         for theta, phi in ((self.theta_i, self.phi_i), (self.theta_o, self.phi_o)):
             theta, phi = np.asarray(theta, np.float64), np.asarray(phi, np.float64)
             end = min(np.pi / 2, theta[-1] + (theta[-1] - theta[-2]) / 2)
-            solid.append(np.outer(-np.diff(np.cos(walls(theta, 0, end))), arcs(phi, 2 * np.pi)))
+            solid.append(np.outer(-np.diff(np.cos(walls(theta, end))), arcs(phi, 2 * np.pi)))
             sin = np.sin(theta)[:, None]
             z = np.broadcast_to(np.cos(theta)[:, None], (theta.size, phi.size))
             sides.append(np.stack([sin * np.cos(phi), sin * np.sin(phi), z], axis=-1))

@@ -57,9 +57,9 @@ def interpolated(
     return jnp.where(found[:, None] > 0, total / jnp.where(found > 0, found, 1)[:, None], 0)
 
 
-def walls(nodes: np.ndarray, start: float, end: float) -> np.ndarray:
-    """Where the cells of nodes on a line meet: halfway between them, `start` and `end` outside."""
-    return np.concatenate([[start], (nodes[1:] + nodes[:-1]) / 2, [end]])
+def walls(nodes: np.ndarray, end: float) -> np.ndarray:
+    """Where the cells of nodes on a line meet: halfway between them; 0 and `end` outside."""
+    return np.concatenate([[0], (nodes[1:] + nodes[:-1]) / 2, [end]])
 
 
 def arcs(nodes: np.ndarray, period: float) -> np.ndarray:

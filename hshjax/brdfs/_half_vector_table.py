@@ -165,8 +165,8 @@ def _node_directions(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
 
 def _solid_angles(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the cells, as factors `(theta_h, theta_d)` and `(phi_d,)`, their product in sr²: see `node_samples`."""
-    half = -np.diff(np.cos(walls(np.sqrt(theta_h), 0, np.sqrt(np.pi / 2)) ** 2))
-    difference = 2 * np.diff(np.sin(walls(theta_d, 0, np.pi / 2)) ** 2)
+    half = -np.diff(np.cos(walls(np.sqrt(theta_h), float(np.sqrt(np.pi / 2))) ** 2))
+    difference = 2 * np.diff(np.sin(walls(theta_d, np.pi / 2)) ** 2)
     # 2π for φ_h; twice, for φ_d and for φ_d + π.
     return 2 * np.pi * half[:, None] * difference, 2 * arcs(phi_d, np.pi)
 

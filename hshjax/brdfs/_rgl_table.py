@@ -1,5 +1,9 @@
 """Materials of the RGL database: tables in a parameterisation that adapts to the material."""
 
+import operator
+from collections.abc import Iterable
+from functools import reduce
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -34,7 +38,7 @@ class RGLTable(TabulatedBRDF):
     against Mitsuba 3 (`measured`).
     """
 
-    theta_i: Float[Array, " slices"]
+    theta_i: Float[Array, " incidences"]
     sigma: Float[Array, "sigma_azimuths sigma_elevations"]
     ndf: Float[Array, "ndf_azimuths ndf_elevations"]
     density: Float[Array, "slices azimuths elevations"]
@@ -122,7 +126,7 @@ class RGLTable(TabulatedBRDF):
         u_h = jnp.stack([_elevation(h), _azimuth(wi if self._relative else x_axis, h)], axis=-1)
         s = self._invert(u_h, slices)
         jacobian = _bilinear(self.ndf[None], u_h) / (4 * _bilinear(self.sigma[None], u_i))
-        value = sum(part[:, None] * _bilinear(self.values, s, slice_) for slice_, part in slices)
+        value = _total(part[:, None] * _bilinear(self.values, s, slice_) for slice_, part in slices)
         return (value * jacobian / wo[:, 2:]).reshape(*shape, value.shape[-1])
 
     def _brought(self, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> tuple[Array, Array]:
@@ -157,7 +161,7 @@ class RGLTable(TabulatedBRDF):
         j, y = _cell(u[:, 1], azimuths)
 
         def between_slices(table, *index):
-            return sum(part * table[(slice_, *index)] for slice_, part in slices)
+            return _total(part * table[(slice_, *index)] for slice_, part in slices)
 
         def between_rows(table, *index):
             return (1 - y) * between_slices(table, j, *index) + y * between_slices(table, j + 1, *index)
@@ -170,6 +174,10 @@ class RGLTable(TabulatedBRDF):
         # An azimuth without visible normals has no conditional distribution; its neighbours end at 0 there.
         in_elevation = jnp.where(row > 0, mass / jnp.where(row > 0, row, 1), 0)
         return jnp.clip(jnp.stack([in_elevation, in_azimuth], axis=-1), 0, 1)
+
+
+def _total(parts: Iterable[Real]) -> Real:
+    return reduce(operator.add, parts)  # `sum` begins with the integer 0
 
 
 def _cumulative(density: np.ndarray) -> np.ndarray:

@@ -180,7 +180,7 @@ def _rule(pairs: IsotropicBasis, dtype) -> PairRule:
     if pairs.bilateral:  # what is below the plane of incidence mirrors what is above
         side = np.asarray(wo[:, 1])
         above = side > -1e-6
-        weight = weight * np.where(side > 1e-6, 2, 1)
+        weight = weight * jnp.asarray(np.where(side > 1e-6, 2, 1), dtype)
         wi, wo, weight = wi[above], wo[above], weight[above]
     return PairRule(wi, wo, weight, degree, isotropic)
 

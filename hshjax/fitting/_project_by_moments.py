@@ -41,7 +41,7 @@ def project_by_moments(
         with jax.enable_x64(True):
             fit = _by_moments(basis, samples, chosen, gamma)  # pyright: ignore[reportArgumentType]
         if fit is not None:
-            dtype = np.result_type(samples.value)
+            dtype = samples.value.dtype
             return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf).astype(dtype)), fit)
     return project(basis, samples, norm=norm, ridge=ridge, prior=prior, reciprocity=False)
 

@@ -1,6 +1,7 @@
 """Raw numbers of a file, checked against its size before any of them is read."""
 
 import os
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
@@ -13,6 +14,24 @@ def file_size(path: str | PathLike) -> int:
     """Bytes of a file; OSError for what cannot be opened as one, a directory for instance."""
     with Path(path).open("rb") as file:
         return os.fstat(file.fileno()).st_size
+
+
+LARGEST = 2**31
+"""Bytes of a file that is read as a whole: ten times the largest that databases have, and no more than memory holds."""
+
+
+def whole_file(path: str | PathLike, begins: Callable[[bytes], None], head: int) -> bytes:
+    """The content of a file. `begins` sees its first `head` bytes, and may raise, before the rest is read.
+
+    **Raises:** FileFormatError for more than 2 GiB; OSError where it cannot be opened.
+    """
+    with Path(path).open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        first = file.read(head)
+        begins(first)
+        if size > LARGEST:
+            raise FileFormatError(path, "size", f"at most {LARGEST} bytes", f"{size}")
+        return first + file.read()
 
 
 def finite_doubles(path: str | PathLike, offset: int, count: int) -> np.ndarray:

@@ -4,22 +4,19 @@ Not by scipy.io.loadmat: a damaged file makes it read beyond its memory, which e
 Source: The MathWorks, MAT-File Format, chapter 1, "Level 5 MAT-File Format".
 """
 
-import os
 import struct
 import zlib
 from collections.abc import Iterator
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
+from hshjax.io._binary import whole_file
 from hshjax.io._expansion import allowed, check_expansion
 from hshjax.io.errors import FileFormatError
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-LARGEST = 512 * 2**20
-"""Bytes of a file: an array of this library's kind has a tenth of that."""
-
+ORDERS = {b"IM": "<", b"MI": ">"}
 MATRIX, COMPRESSED = 14, 15
 COMPLEX = 0x0800
 FLOATS = {6: np.float64, 7: np.float32}
@@ -32,19 +29,18 @@ def read_mat_floats(path: str | PathLike, name: str) -> np.ndarray:
     **Raises:** FileFormatError for other files, without that array, where it is of another class, and where sizes do
     not fit; OSError where the file cannot be opened.
     """
-    with Path(path).open("rb") as file:
-        content = file.read(128)
-        size = os.fstat(file.fileno()).st_size
-        if size > LARGEST:
-            raise FileFormatError(path, "file", f"at most {LARGEST} bytes", f"{size}")
-        content += file.read()
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
-    if order is None or content[124:126] not in (b"\x00\x01", b"\x01\x00"):
-        raise FileFormatError(path, "header", "a MATLAB file of version 5 to 7", repr(content[:20]))
+
+    def begins(head: bytes) -> None:
+        if head[126:128] not in ORDERS or head[124:126] not in (b"\x00\x01", b"\x01\x00"):
+            got = repr(head[:20]) if head else "an empty file"
+            raise FileFormatError(path, "header", "a MATLAB file of version 5 to 7", got)
+
+    content = whole_file(path, begins, 128)
+    order = ORDERS[content[126:128]]
     try:
         for kind, body in _elements(content[128:], order):
             if kind == COMPRESSED:
-                kind, body = next(_elements(_inflated(path, body), order))
+                kind, body = next(_elements(_decompressed(path, body), order))
             if kind == MATRIX:
                 array = _floats(body, order, name)
                 if array is not None:
@@ -54,14 +50,13 @@ def read_mat_floats(path: str | PathLike, name: str) -> np.ndarray:
     raise FileFormatError(path, f"field {name!r}", "this field", "none of this name")
 
 
-def _inflated(path: str | PathLike, body: bytes) -> bytes:
+def _decompressed(path: str | PathLike, body: bytes) -> bytes:
     """The content of a compressed element, and no more of it than `check_expansion` allows."""
-    most = allowed(len(body))
-    inflater = zlib.decompressobj()
-    content = inflater.decompress(body, most + 1)
+    stream = zlib.decompressobj()
+    content = stream.decompress(body, allowed(len(body)) + 1)
     check_expansion(path, "compressed element", len(content), len(body))
-    if not inflater.eof:
-        raise ValueError("a compressed element that ends early")
+    if not stream.eof:
+        raise ValueError("a compressed element that is cut off")
     return content
 
 

@@ -28,6 +28,7 @@ import numpy as np
 
 import hshjax.bases
 import hshjax.brdfs
+from hshjax.io._binary import LARGEST
 from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
@@ -50,12 +51,12 @@ ADDED: dict[str, frozenset[str]] = {
 }
 """Fields that classes have got since they could be saved: a file from before means their defaults."""
 
+MAX_LINE = 2**24
+"""Bytes of line 1: thousands of arrays. A file without an end of line must not exhaust a machine."""
+
 MAX_DIMENSIONS = 32
 MAX_ORDER = 512
 """Of a basis: 263 169 functions of one direction. What a file asks for must not exhaust a machine."""
-MAX_LINE = 2**26
-"""Bytes of the first line: the tree of a model, without its arrays."""
-
 MAX_EMPTY = 2**31
 """Elements that an empty array would have if its empty axes had length 1."""
 
@@ -97,13 +98,15 @@ def load_model(path: str | PathLike, types: Sequence[type[eqx.Module]] = (), *, 
     class; ValueError where jax's configuration cannot hold a saved type; OSError where the file cannot be opened.
     """
     with Path(path).open("rb") as file:
-        line, newline, _ = file.readline(MAX_LINE).partition(b"\n")
-        header = _header(path, line, bool(newline))
-        left = os.fstat(file.fileno()).st_size - file.tell()
-        if left != header["bytes"]:  # before they are read
+        line = file.readline(MAX_LINE)
+        header = _header(path, line.removesuffix(b"\n"), line.endswith(b"\n"))
+        left = os.fstat(file.fileno()).st_size - len(line)
+        if left != header["bytes"]:
             what = "truncated" if left < header["bytes"] else "trailing bytes"
             raise FileFormatError(path, "arrays", f"{header['bytes']} bytes after line 1", f"{left} ({what})")
-        blob = file.read(left)
+        if left > LARGEST:
+            raise FileFormatError(path, "arrays", f"at most {LARGEST} bytes", f"{left}")
+        blob = file.read()
     if zlib.crc32(blob) != header["crc32"]:
         raise FileFormatError(path, "arrays", f"bytes of CRC-32 {header['crc32']}", f"{zlib.crc32(blob)}")
     reader = _Reader(path, blob, {t.__name__: t for t in types}, dtype)

@@ -142,10 +142,11 @@ def write_rgl(
     *,
     slices: int = 24,
     size: int = 64,
-    wavelengths: Sequence[float] | None = None,
+    wavelengths: Sequence[float | int] | None = None,
     description: str = "",
 ) -> None:
-    """An isotropic BRDF [sr^-1] as a `.bsdf` file that the `measured` plugin of Mitsuba 3 renders; written beside it first.
+    """An isotropic BRDF [sr^-1] as a `.bsdf` file, which the `measured` plugin of Mitsuba 3 renders; written beside and
+    renamed.
 
     `slices` angles of incidence from 0 to 89 degrees, evenly, each with `size` x `size` values at places that suit the
     material (see `_rgl_resample`). Three channels are R, G, B; with `wavelengths` [nm], one a channel, the file is a

@@ -8,23 +8,19 @@ Jakob, An Adaptive Parameterization for Efficient Material Acquisition and Rende
 """
 
 import math
-import os
 import struct
 from collections.abc import Mapping
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
+from hshjax.io._binary import whole_file
 from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
 MAGIC = b"tensor_file\0"
 VERSION = (1, 0)
 MAX_DIMENSIONS = 32
-MAX_BYTES = 2**31
-"""Of a file: fifty times the largest ones of the database. All of it is read."""
-
 MAX_EMPTY = 2**31
 """Elements that an empty tensor would have if its empty axes had length 1."""
 
@@ -44,21 +40,18 @@ ALIGNMENT = 8
 def read_tensor_file(path: str | PathLike) -> dict[str, np.ndarray]:
     """The tensors of a file by name, in file order: read-only views of one buffer, so memory is that of the file.
 
-    **Raises:** FileFormatError where the header or a tensor does not fit the file; OSError where it cannot be opened.
+    **Raises:** FileFormatError where the header or a tensor does not fit the file, or the file has more than 2 GiB;
+    OSError where it cannot be opened.
     """
-    with Path(path).open("rb") as file:
-        data = file.read(len(MAGIC))
-        if data == MAGIC:
-            size = os.fstat(file.fileno()).st_size
-            if size > MAX_BYTES:
-                raise FileFormatError(path, "file", f"at most {MAX_BYTES} bytes", f"{size}")
-            data += file.read()
+
+    def begins(magic: bytes) -> None:
+        if magic != MAGIC:
+            raise FileFormatError(
+                path, "byte 0", f"a tensor_file, beginning with {MAGIC!r}", repr(magic) if magic else "an empty file"
+            )
+
+    data = whole_file(path, begins, len(MAGIC))
     cursor = _Cursor(path, data)
-    magic = data[: len(MAGIC)]
-    if magic != MAGIC:
-        raise FileFormatError(
-            path, "byte 0", f"a tensor_file, beginning with {MAGIC!r}", repr(magic) if magic else "an empty file"
-        )
     cursor.position = len(MAGIC)
     version = cursor.take("BB", "version")
     if version != VERSION:

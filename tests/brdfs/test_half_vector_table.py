@@ -7,8 +7,10 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from hshjax.brdfs import HalfVectorTable
+from hshjax.brdfs._half_vector_table import half_difference_angles
 from hshjax.geometry import from_half_difference
 from hshjax.io import load_model, save_model
+from hshjax.quadrature import isotropic_pair_rule
 from tests.helpers import DTYPE, X64, assert_close, directions
 
 MERL = (np.arange(90) / 90) ** 2 * np.pi / 2, np.radians(np.arange(90.0)), np.radians(np.arange(180.0))
@@ -130,6 +132,90 @@ def test_transforms_dtypes_and_empty_batches():
     assert brdf(wi, wo[0, 0]).shape == (4, 5, 3)
     assert brdf(wi[:0], wo[:0]).shape == (0, 5, 3)
     assert brdf(wi.astype(jnp.float32), wo.astype(jnp.float32)).dtype == jnp.float32
+
+
+def test_measured_nodes_share_the_weight_of_the_others():
+    """The quotient of two tables: of values where there are any, and of ones."""
+    whole, (*_, wi, wo) = table(), pairs()
+    there = np.random.default_rng(5).random(whole.values.shape[:3]) < 0.6
+    parts = whole.theta_h, whole.theta_d, whole.phi_d
+    unmeasured = jnp.where(jnp.asarray(there)[..., None], whole.values, jnp.nan)  # nothing is read there
+    brdf = HalfVectorTable(unmeasured, *parts, measured=jnp.asarray(there))
+    held = HalfVectorTable(jnp.where(jnp.asarray(there)[..., None], whole.values, 0), *parts)
+    share = np.asarray(HalfVectorTable(jnp.asarray(there[..., None], DTYPE), *parts, channel_names=("Y",))(wi, wo))
+    expected = np.where(share > 0, np.asarray(held(wi, wo)) / np.where(share > 0, share, 1), 0)
+    # A share of a thousandth magnifies the rounding of angles.
+    assert_close(brdf(wi, wo), expected, tolerance=1e-6 if X64 else 5e-2)
+    assert np.mean(share < 0.999) > 0.5
+    everywhere = HalfVectorTable(whole.values, *parts, measured=jnp.ones(there.shape, bool))
+    assert_close(everywhere(wi, wo), whole(wi, wo))
+
+
+def test_settled_takes_the_mean_of_what_was_measured():
+    whole = table()
+    there = np.ones(whole.values.shape[:3], bool)
+    there[0, 1, :4] = there[0, 2] = there[3, 3, 3] = False
+    parts = whole.theta_h, whole.theta_d, whole.phi_d
+    settled = HalfVectorTable(whole.values, *parts, measured=jnp.asarray(there)).settled()
+    assert_close(settled.values[0, 1, 2], whole.values[0, 1, 4:].mean(0))
+    found = np.asarray(settled.measured)
+    assert found[0, 1].all()
+    assert not found[0, 2].any()
+    assert not found[3, 3, 3]
+
+
+@pytest.mark.parametrize("folded", [False, True])
+def test_weights_of_nodes_are_solid_angles(folded):
+    """Integrals over pairs, by the rule of the other kind of coordinates."""
+    values = np.ones((90, 90, 180, 1))
+    samples = HalfVectorTable(
+        *(jnp.asarray(part, DTYPE) for part in (values, *MERL)), channel_names=("Y",)
+    ).node_samples(folded=folded)
+    rule = isotropic_pair_rule(8, dtype=DTYPE)
+    # Cells that the horizon cuts are not cut: an error of first order in the steps, where nothing vanishes there.
+    for power, tolerance in ((0, 2e-3), (1, 3e-4), (2, 3e-4)):
+        found = jnp.sum(samples.weight * (samples.wi[:, 2] * samples.wo[:, 2]) ** power)
+        expected = jnp.sum(rule.weight * (rule.wi[:, 2] * rule.wo[:, 2]) ** power)
+        np.testing.assert_allclose(found, expected, rtol=tolerance)
+    cosine = jnp.sum(samples.wi[:, :2] * samples.wo[:, :2], axis=1)
+    found = jnp.sum(samples.weight * cosine**2)
+    expected = jnp.sum(rule.weight * jnp.sum(rule.wi[:, :2] * rule.wo[:, :2], axis=1) ** 2)
+    np.testing.assert_allclose(found, expected, rtol=3e-3)
+    assert samples.isotropic
+    assert float(jnp.min(samples.wi[:, 2])) > 0
+
+
+def test_node_samples_are_the_values_at_the_nodes():
+    brdf = table()
+    samples = brdf.node_samples()
+    seen = np.asarray(samples.weight) > 0
+    inside = seen & (np.asarray(samples.value) != 0).all(1)
+    assert inside.all()
+    # Away from where φ_d means nothing.
+    h, d, _ = half_difference_angles(samples.wi, samples.wo)
+    tilted = (np.asarray(h) > 1e-3) & (np.asarray(d) > 1e-3)
+    assert tilted.sum() > 20
+    assert_close(brdf(samples.wi, samples.wo)[tilted], samples.value[tilted], tolerance=1e-7 if X64 else 5e-2)
+    there = np.zeros(brdf.values.shape[:3], bool)
+    there[2, 1, 3] = True
+    parts = brdf.theta_h, brdf.theta_d, brdf.phi_d
+    only = HalfVectorTable(brdf.values, *parts, measured=jnp.asarray(there)).node_samples()
+    assert only.size == 1
+    assert_close(only.value[0], brdf.values[2, 1, 3])
+
+
+def test_folding_keeps_integrals_of_bilateral_functions():
+    brdf = table()
+    there = np.random.default_rng(7).random(brdf.values.shape[:3]) < 0.7
+    masked = HalfVectorTable(brdf.values, brdf.theta_h, brdf.theta_d, brdf.phi_d, measured=jnp.asarray(there))
+    whole, half = masked.node_samples(), masked.node_samples(folded=True)
+    assert half.size < 0.9 * whole.size
+
+    def integral(samples):
+        even = (samples.wi[:, 2] * samples.wo[:, 2])[:, None] * samples.value
+        return jnp.sum(samples.weight[:, None] * even, axis=0)
+
+    assert_close(integral(half), integral(whole), tolerance=1e-10 if X64 else 1e-4)
 
 
 def test_saved_and_loaded(tmp_path):

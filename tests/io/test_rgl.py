@@ -9,11 +9,23 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from hshjax.brdfs import TabulatedBRDF
+from experiments.peers import run
+from experiments.peers._environments import folder
+from hshjax.brdfs import GGX, Lambert, TabulatedBRDF
 from hshjax.geometry import direction
-from hshjax.io import FileFormatError, read_rgl
+from hshjax.io import (
+    FileFormatError,
+    load_model,
+    measured_rgl,
+    read_rgl,
+    read_tensor_file,
+    save_model,
+    write_rgl,
+)
 from hshjax.quadrature import isotropic_pair_rule
 from tests.helpers import DTYPE, X64, assert_close, directions
+from tests.io.hostile_binary import binary_variants, refused, sparse, written
+from tests.io.measured_reference import CASES, FILE, pairs, tables
 from tests.io.tensor_files import material, packed
 
 MATERIALS = ("colodur_napoli_4f_rgb", "paper_white_rgb", "satin_rosaline_rgb", "vch_golden_yellow_rgb")
@@ -173,6 +185,117 @@ def test_an_azimuth_without_visible_normals(brdf):
     assert np.all(np.isfinite(jax.jit(jax.grad(lambda w: jnp.sum(holed(wi, w))))(wo)))
 
 
+@pytest.mark.parametrize("case", CASES)
+def test_random_tables_agree_with_mitsuba(case, tmp_path):
+    """Anisotropic and spectral ones, against a file that `python -m tests.io.measured_reference` has made."""
+    with np.load(FILE, allow_pickle=False) as reference:
+        expected = reference[case]
+    wi, wo = (jnp.asarray(w, DTYPE) for w in pairs())
+    brdf, found = measured_rgl(written(tmp_path / "a.bsdf", packed(tables(case))))
+    # The reference was evaluated in float32.
+    np.testing.assert_allclose(evaluate(brdf, wi, wo), expected, rtol=5e-6 if X64 else 2e-3)
+    assert found.channel_names == (("400 nm", "500 nm", "620 nm", "700 nm") if "spectral" in case else ("R", "G", "B"))
+    assert found.format.endswith("anisotropic" if "turn" in case or "quarter" in case else "isotropic")
+    assert found.entries == len(CASES[case][0]) * 4 * 4 * 4
+
+
+def test_mitsuba_agrees_still(tmp_path):
+    """The reference is what Mitsuba says, where its environment is there."""
+    if not any(folder().glob("mitsuba-*")):
+        pytest.skip("no environment of Mitsuba: python -m experiments.peers makes one")
+    path = written(tmp_path / "a.bsdf", packed(tables("half a turn")))
+    wi, wo = pairs()
+    value = run("mitsuba", "mitsuba_measured", {"path": str(path), "wi": wi, "wo": wo, "variant": "scalar_rgb"})[
+        "value"
+    ]
+    with np.load(FILE, allow_pickle=False) as reference:
+        np.testing.assert_allclose(value, reference["half a turn"], rtol=1e-5)
+    write_rgl(path, GLOSSY, slices=8, size=16)
+    value = run("mitsuba", "mitsuba_measured", {"path": str(path), "wi": wi, "wo": wo, "variant": "scalar_rgb"})[
+        "value"
+    ]
+    np.testing.assert_allclose(read_rgl(path)(*map(jnp.asarray, (wi, wo))), value, rtol=1e-4 if X64 else 1e-2)
+
+
+GLOSSY = Lambert(jnp.asarray([0.3, 0.2, 0.1])) + GGX(jnp.asarray([0.5, 0.4, 0.3]), 0.2)
+
+
+def test_what_is_written_comes_back(tmp_path):
+    path = tmp_path / "a.bsdf"
+    write_rgl(path, GLOSSY, description="Glanz")
+    brdf = read_rgl(path)
+    assert brdf.description == "Glanz"
+    wi, wo = directions(21, 2000, min_z=0.17), directions(22, 2000, min_z=0.17)
+    exact = np.asarray(evaluate(GLOSSY, wi, wo))
+    error = np.abs(np.asarray(evaluate(brdf, wi, wo)) / exact - 1)
+    print(f"relative error, median {np.median(error):.1e}, 99 % {np.quantile(error, 0.99):.1e}")
+    # 24 angles of incidence, 64 x 64 values: what linear interpolation between them misses.
+    assert np.median(error) < 2e-3
+    assert np.quantile(error, 0.99) < 0.03
+    assert set(read_tensor_file(path)) >= {"luminance", "vndf", "sigma", "ndf", "theta_i", "phi_i", "jacobian", "rgb"}
+
+
+def test_finer_tables_are_nearer(tmp_path):
+    wi, wo = directions(23, 1000, min_z=0.3), directions(24, 1000, min_z=0.3)
+    errors = []
+    for slices, size in ((6, 12), (12, 24), (24, 48)):
+        write_rgl(tmp_path / "a.bsdf", GLOSSY, slices=slices, size=size)
+        errors.append(np.median(np.abs(evaluate(read_rgl(tmp_path / "a.bsdf"), wi, wo) / evaluate(GLOSSY, wi, wo) - 1)))
+    assert errors[0] > 2 * errors[1] > 4 * errors[2]
+
+
+def test_spectra_are_written(tmp_path):
+    path = tmp_path / "a.bsdf"
+    write_rgl(path, Lambert(jnp.asarray([0.4, 0.2])), slices=6, size=8, wavelengths=[450, 632.8])
+    brdf = read_rgl(path)
+    assert brdf.channel_names == ("450 nm", "632.8 nm")
+    pole = jnp.asarray([[0, 0, 1]], DTYPE)
+    tilted = jnp.asarray([[0.6, 0, 0.8]], DTYPE)
+    assert_close(brdf(pole, tilted)[0], np.array([0.4, 0.2]) / np.pi, tolerance=5e-3)  # a coarse table
+
+
+def test_what_the_writer_refuses(tmp_path):
+    path = tmp_path / "a.bsdf"
+    for keywords, message in (
+        ({}, "3 channels, got 1"),
+        ({"wavelengths": [500, 600]}, "wavelengths must be 1"),
+        ({"slices": 1}, "2 slices"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            write_rgl(path, Lambert(jnp.asarray([0.5])), **({"slices": 3, "size": 4} | keywords))
+    with pytest.raises(ValueError, match="isotropic"):
+        write_rgl(path, lambda wi, wo: jnp.repeat(wi[..., :1] + 2, 3, axis=-1), slices=3, size=4)
+    assert not path.exists()
+
+
+def test_negatives(tmp_path):
+    path = written(tmp_path / "a.bsdf", packed(edited("rgb", -0.5)))
+    assert measured_rgl(path).found.negative == 1
+    assert float(measured_rgl(path).data.values.min()) == -0.5
+    assert float(measured_rgl(path, negatives="clip").data.values.min()) == 0
+    with pytest.raises(ValueError, match="cannot be masked"):
+        measured_rgl(path, negatives="mask")
+
+
+def test_an_anisotropic_table_is_saved(tmp_path):
+    brdf = read_rgl(written(tmp_path / "a.bsdf", packed(tables("a turn"))))
+    save_model(tmp_path / "a.hshjax", brdf)
+    loaded = load_model(tmp_path / "a.hshjax")
+    assert np.array_equal(loaded.phi_i, brdf.phi_i)
+    assert np.array_equal(loaded.values, brdf.values)
+
+
+def test_gigabytes_of_nothing(tmp_path):
+    assert "2147483648" in str(refused(read_rgl, sparse(tmp_path / "a.bsdf", CONTENT)))
+
+
+def test_hostile_files_are_read_or_refused(tmp_path):
+    for name, content in binary_variants(CONTENT, counts={"fields": 14}).items():
+        error = refused(read_rgl, written(tmp_path / "a.bsdf", content))
+        if name.startswith("fields") or name == "empty" or (name.startswith("cut") and int(name[7:-3]) < 60):
+            assert error is not None, name
+
+
 def changed(**changes) -> dict[str, np.ndarray]:
     return {name: t for name, t in (material() | changes).items() if t is not None}
 
@@ -184,8 +307,26 @@ def edited(name: str, value: float) -> dict[str, np.ndarray]:
 
 
 WRONG = {
-    "spectral": (changed(rgb=None, spectra=np.ones((1, 3, 9, 4, 5), np.float32)), "'rgb'", "spectral.*not supported"),
-    "anisotropic": (changed(phi_i=np.zeros(8, np.float32)), "'phi_i'", "8 .*not supported"),
+    "no wavelengths": (changed(rgb=None, spectra=np.ones((1, 3, 9, 4, 5), np.float32)), "'wavelengths'", "'spectra'"),
+    "azimuths that stand still": (changed(phi_i=np.zeros(8, np.float32)), "'phi_i'", "0"),
+    "a third of a turn": (changed(phi_i=np.float32([-np.pi, -2, -np.pi / 3])), "'phi_i'", "-3.14159 ... -1.0472"),
+    "azimuths from 0": (changed(phi_i=np.linspace(0, np.pi, 3).astype(np.float32)), "'phi_i'", "0 ... 3.14159"),
+    "more than a turn": (changed(phi_i=np.float32([-4, 4])), "'phi_i'", "-4"),
+    "azimuths without tables": (
+        changed(phi_i=np.linspace(-np.pi, 0, 3).astype(np.float32)),
+        "'vndf'",
+        r"\(1, 3, 7, 6\)",
+    ),
+    "wavelengths that fall": (
+        changed(rgb=None, spectra=np.ones((1, 3, 2, 4, 5), np.float32), wavelengths=np.float32([500, 400])),
+        "'wavelengths'",
+        "400",
+    ),
+    "a spectrum too few": (
+        changed(rgb=None, spectra=np.ones((1, 3, 2, 4, 5), np.float32), wavelengths=np.float32([400])),
+        "'spectra'",
+        r"\(1, 3, 2, 4, 5\)",
+    ),
     "no rgb": (changed(rgb=None), "'rgb'", "'theta_i'"),
     "no description": (changed(description=None), "'description'", "'vndf'"),
     "no jacobian": (changed(jacobian=None), "'jacobian'", "'vndf'"),

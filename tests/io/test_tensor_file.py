@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from hshjax.io import FileFormatError, read_tensor_file
+from hshjax.io import FileFormatError, read_tensor_file, write_tensor_file
+from tests.io.hostile_binary import binary_variants, refused, sparse, written
 from tests.io.tensor_files import CODES, packed
 
 TENSORS = {
@@ -26,6 +27,39 @@ def test_every_type_and_shape_comes_back(tmp_path):
         assert read[name].dtype == tensor.dtype
         assert read[name].shape == tensor.shape
         assert np.array_equal(read[name], tensor)
+
+
+def test_what_is_written_comes_back(tmp_path):
+    write_tensor_file(tmp_path / "a", TENSORS | {"big-endian": np.arange(3, dtype=">i4"), "a slice": np.arange(9)[::2]})
+    read = read_tensor_file(tmp_path / "a")
+    assert list(read) == [*TENSORS, "big-endian", "a slice"]
+    for name, tensor in TENSORS.items():
+        assert read[name].dtype == tensor.dtype
+        assert np.array_equal(read[name], tensor)
+        assert read[name].shape == tensor.shape
+    assert read["big-endian"].tolist() == [0, 1, 2]
+    assert read["a slice"].tolist() == [0, 2, 4, 6, 8]
+
+
+@pytest.mark.parametrize("wrong", [np.array(["a"]), np.array([1j]), np.array([True]), np.zeros((1,) * 33)])
+def test_what_is_not_written(wrong, tmp_path):
+    with pytest.raises(ValueError, match="a tensor must be"):
+        write_tensor_file(tmp_path / "a", {"wrong": wrong})
+    assert not list(tmp_path.iterdir())
+
+
+def test_gigabytes_of_nothing(tmp_path):
+    assert "expected a tensor_file" in str(refused(read_tensor_file, sparse(tmp_path / "a", b"")))
+    error = refused(read_tensor_file, sparse(tmp_path / "a", packed(TENSORS)))
+    assert "size: expected at most 2147483648 bytes, got 5000000000" in str(error)
+
+
+def test_hostile_files_are_read_or_refused(tmp_path):
+    for name, content in binary_variants(packed(TENSORS), counts={"fields": 14}).items():
+        error = refused(read_tensor_file, written(tmp_path / "a", content))
+        if name.startswith("fields") and name != "fields = 0":
+            assert error is not None, name
+            assert "number of fields" in error.where
 
 
 def test_tensors_are_read_only_views(tmp_path):
