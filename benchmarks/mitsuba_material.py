@@ -86,7 +86,7 @@ def measure(path: Path) -> None:
 def scalar(mi, path: Path) -> float:
     """Microseconds of a value."""
     mi.set_variant("scalar_rgb")
-    bsdf, context, interaction = mi.load_dict({"type": "hshjax", "filename": str(path)}), mi.BSDFContext(), None
+    bsdf, context = mi.load_dict({"type": "hshjax", "filename": str(path)}), mi.BSDFContext()
     interaction = mi.SurfaceInteraction3f()
     interaction.wi = mi.Vector3f(0.6, 0, 0.8)
     times = []
