@@ -92,7 +92,10 @@ def damaged() -> dict[str, tuple[bytes, str]]:
         "png header": (whole[:40], "pixels: expected an intact image"),
         "png half": (whole[: len(whole) // 2], "pixels: expected an intact image"),
         "png a bit": (bytes(spoiled), "pixels: expected an intact image"),
-        "png size": (whole[:8] + chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 60000, 16, 2, 0, 0, 0)), "header: expected at most .* inflates so much"),
+        "png size": (
+            whole[:8] + chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 60000, 16, 2, 0, 0, 0)),
+            "header: expected at most .* inflates so much",
+        ),
         "jpeg start": (jpeg[:100], "expected"),
         "jpeg half": (jpeg[: len(jpeg) // 2], "pixels: expected an intact image, got .* truncated"),
         "jpeg end": (jpeg[:-2], "pixels: expected an intact image, got .* truncated"),
