@@ -11,6 +11,9 @@ from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
 
 MAGIC = b"\x76\x2f\x31\x01"
+DENSEST = 4096
+"""Pixels that a byte may stand for: no compression of a picture gets near."""
+
 COLOUR_ORDER = ("R", "G", "B", "A")
 
 
@@ -108,6 +111,16 @@ def _ordered(names) -> tuple[str, ...]:
     return colour if names in ({*"RGB"}, {*"RGBA"}) else tuple(sorted(names))
 
 
+def _check_window(path: str | PathLike, window: Any) -> None:
+    """The library allocates what a header asks for before it looks at the pixels."""
+    low, high = (np.asarray(corner, np.int64) for corner in window)
+    width, height = (high - low + 1).tolist()
+    most = max(2**20, DENSEST * Path(path).stat().st_size)
+    if width * height > most:
+        expected = f"at most {most} pixels, by the size of the file"
+        raise FileFormatError(path, "header, dataWindow", expected, f"{width} x {height}")
+
+
 def _part(path: str | PathLike, *, header_only: bool) -> Any:
     """The only part of an image."""
     import OpenEXR
@@ -118,6 +131,8 @@ def _part(path: str | PathLike, *, header_only: bool) -> Any:
         raise FileFormatError(
             path, "byte 0", f"an OpenEXR file, beginning with {MAGIC!r}", repr(magic) if magic else "an empty file"
         )
+    if not header_only:
+        _check_window(path, _part(path, header_only=True).header["dataWindow"])
     try:
         # The library prints a warning about damaged pixels and then leaves their part out.
         parts = OpenEXR.File(fspath(path), separate_channels=True, header_only=header_only).parts
