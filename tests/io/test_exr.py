@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hshjax.io import FileFormatError, exr_channels, read_exr, write_exr
+from tests.io.hostile_binary import refused, replaced, written
 
 
 def image(*shape: int) -> np.ndarray:
@@ -153,3 +154,15 @@ def test_images_of_several_parts_are_refused(tmp_path):
     OpenEXR.File(parts).write(str(tmp_path / "a.exr"))
     with pytest.raises(FileFormatError, match="parts: expected 1, got 2"):
         read_exr(tmp_path / "a.exr")
+
+
+def test_a_window_that_lies(tmp_path):
+    """Nothing is allocated for it."""
+    path = tmp_path / "a.exr"
+    write_exr(path, np.ones((8, 9, 3), np.float32))
+    content = path.read_bytes()
+    at = content.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4 + 8
+    for corner in ((2**20, 2**20), (2**27, 7), (8, 2**27)):
+        error = refused(read_exr, written(path, replaced(content, at, "<2i", *corner)))
+        assert "header" in str(error)
+    assert read_exr(written(path, content)).shape == (8, 9, 3)
