@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from hshjax._typing import Bool, Float
-from hshjax.camera import PerspectiveCamera
-from hshjax.stereo._axes import camera_axes
+from hshjax.camera import AbstractCamera, PerspectiveCamera
+from hshjax.stereo._axes import camera_axes, far_axes
 from hshjax.stereo._poisson import Edges, differences, solve
 
 TOLERANCE, ROUGHLY = 1e-10, 1e-6
@@ -18,13 +18,21 @@ ROUNDS, SETTLED, STEEPNESS = 100, 1e-2, 2.0
 
 
 def height_from_normals(
-    normals: Any, mask: Any = None, *, spacing: float = 1.0, jumps: bool = False, horizon: float = 0.01
+    normals: Any,
+    mask: Any = None,
+    *,
+    camera: AbstractCamera | None = None,
+    spacing: float = 1.0,
+    jumps: bool = False,
+    horizon: float = 0.01,
 ) -> Float[np.ndarray, "rows columns"]:
-    """Heights z `(rows, columns)` of a surface with these normals, seen from far away along z: float64, on the host.
+    """Heights `(rows, columns)` towards the viewer of a surface with these normals, seen from far away: float64, on the
+    host.
 
-    - `normals` `(rows, columns, 3)`: x to the right, y up, z towards the viewer; row 0 has the largest y, as in
-      `height_field`. Their length does not count.
+    - `normals` `(rows, columns, 3)`: in the world, as results have them. Their length does not count.
     - `mask` `(rows, columns)`: where there is a surface; None: everywhere.
+    - `camera`: far away, turned in the world as it may be; of it nothing else counts, `height` neither. None: x is to
+      the right, y up, z towards the viewer; row 0 has the largest y, as in `height_field`.
     - `spacing`: between neighbouring pixels; heights are in its unit.
     - `jumps`: whether the surface may be torn. If not, heights bend where it is. If so, each pixel shares its belief
       between its two neighbours in a row and in a column, by how well they fit its normal, until shares settle: up to
@@ -38,10 +46,11 @@ def height_from_normals(
     (n_a + n_b) · (P_b - P_a) = 0. That is exact for planes and spheres, and of second order in the spacing for others.
     It weighs a pair by its mean n_z, so that it stays finite at the horizon.
 
-    **Raises:** ValueError for other shapes, no pixel with a normal, a spacing that is not above 0, and a horizon
-    outside [0, 1); RuntimeError where the solver does not converge.
+    **Raises:** ValueError for other shapes, a camera nearby, no pixel with a normal, a spacing that is not above 0, and
+    a horizon outside [0, 1); RuntimeError where the solver does not converge.
     """
     vectors, inside = _checked(normals, mask, spacing, "spacing")
+    vectors = vectors @ far_axes(camera).T
     inside = _seen(inside, vectors[..., 2], horizon)
     values = _integrated(vectors, inside, _Far(float(spacing)), jumps)
     return np.where(inside, values - _means(values, inside), np.nan)
@@ -60,7 +69,6 @@ def depth_from_normals(
 
     As `height_from_normals`, but for these:
 
-    - `normals` are in the world, in which `camera` may look anywhere.
     - `distance`: the geometric mean of the depths of each piece, which normals do not tell.
     - `horizon`: is about the cosine between normal and ray.
 
