@@ -94,7 +94,7 @@ def depth_from_normals(
     return np.where(inside, distance * np.exp(values - _means(values, inside)), np.nan)
 
 
-class _View(abc.ABC):
+class _AbstractView(abc.ABC):
     """What a normal says of two neighbours, along axis 0 (to the right) or 1 (up)."""
 
     @abc.abstractmethod
@@ -106,7 +106,7 @@ class _View(abc.ABC):
         """Height of the other end above the plane of a normal, in pixels, given the difference of values."""
 
 
-class _Far(_View):
+class _Far(_AbstractView):
     """From far away: values are heights."""
 
     def __init__(self, spacing: float):
@@ -120,7 +120,7 @@ class _Far(_View):
         return normal[..., 2] * change / self.spacing + normal[..., axis]
 
 
-class _Near(_View):
+class _Near(_AbstractView):
     """Through a pinhole: values are logarithms of depths along rays `(rows, columns, 3)`, `apart` at depth 1."""
 
     def __init__(self, ray: np.ndarray, apart: float):
@@ -136,7 +136,9 @@ class _Near(_View):
         return (np.exp(change) * second - first) / self.apart
 
 
-def _integrated(normals: np.ndarray, inside: np.ndarray, view: _View, jumps: bool) -> Float[np.ndarray, "rows columns"]:
+def _integrated(
+    normals: np.ndarray, inside: np.ndarray, view: _AbstractView, jumps: bool
+) -> Float[np.ndarray, "rows columns"]:
     """Values whose differences are what normals say of neighbours; in each piece up to a constant."""
     ends = _ends(inside.shape)
     pairs = [inside[a] & inside[b] for a, b in ends]
@@ -157,7 +159,7 @@ def _integrated(normals: np.ndarray, inside: np.ndarray, view: _View, jumps: boo
     return solve(*_equations(normals, pairs, shares, view), values, TOLERANCE)
 
 
-def _equations(normals: np.ndarray, pairs: list, shares: list, view: _View) -> tuple[Edges, Edges]:
+def _equations(normals: np.ndarray, pairs: list, shares: list, view: _AbstractView) -> tuple[Edges, Edges]:
     """Weights, and weights times differences, of all pairs of neighbours."""
     weights, weighted = [], []
     ends = _ends(normals.shape[:2])

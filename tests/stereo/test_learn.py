@@ -8,7 +8,7 @@ import hshjax
 from hshjax.stereo._columns import column_brdfs, first_guess
 from hshjax.stereo._learn import Pixels, coefficients_of, learn, shared_equations
 from hshjax.stereo._refine import Estimate, predicted, refine
-from hshjax.stereo._shading import ShadingTable, shading_table
+from hshjax.stereo._shading import AbstractShadingTable, shading_table
 from tests.stereo.cases import directions
 
 ANY = np.zeros(12, bool)
@@ -72,7 +72,7 @@ def photographed(stray=0.0, count=400, lights=24):
     return table, pixels, pq, vectors
 
 
-def misfit(table: ShadingTable, pixels: Pixels, pq, coefficients):
+def misfit(table: AbstractShadingTable, pixels: Pixels, pq, coefficients):
     estimate = refine(table.mixed(coefficients), pixels.values, jnp.ones_like(pixels.values), pq, 10)
     return float(jnp.mean(jnp.abs(pixels.values - predicted(table.mixed(coefficients), estimate))))
 
