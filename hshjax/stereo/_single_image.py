@@ -127,7 +127,7 @@ def solve_single_image(
     if not starts or not set(starts) <= set(get_args(Start)):
         raise ValueError(f"starts must be some of {', '.join(get_args(Start))}, got {tuple(starts)!r}")
     axes = far_axes(photographs.camera)
-    directions, irradiance = _lights(photographs, axes)
+    lights, directions, irradiance = _lights(photographs, axes)
     check_brdf(brdf, directions, photographs.channels)
     albedo = known_albedo(albedo, photographs.pixels, photographs.channels)
     target = _target(photographs, irradiance, albedo[:, None])
@@ -162,7 +162,7 @@ def solve_single_image(
         prediction=state.shading.value * bright * irradiance, shadows=dark, outliers=outliers,
         determined=np.any(np.any(known, axis=2) & ~dark & ~outliers, axis=1), contour=held,
         scale=float(np.exp(state.scale)), start=start, mask=photographs.mask, history=tuple(history.stages),
-        lights=photographs.lights, camera=photographs.camera,
+        lights=lights, camera=photographs.camera,
     )  # fmt: skip
 
 
@@ -215,8 +215,8 @@ def _placed_heights(
     return placed_corners, placed_pixels
 
 
-def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions in the axes of the camera `(lights, 3)`, and irradiance `(lights, 1 or channels)`."""
+def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[DirectionalLight, np.ndarray, np.ndarray]:
+    """Lights, unit directions in the axes of the camera `(lights, 3)`, irradiance `(lights, 1 or channels)`."""
     lights = photographs.lights
     if not isinstance(lights, DirectionalLight):
         kind = "none" if lights is None else type(lights).__name__
@@ -228,7 +228,7 @@ def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[np.ndarray, np.
     check_channels("lights", irradiance.shape[1], photographs.channels)
     if not np.all(np.isfinite(irradiance) & (irradiance > 0)):
         raise ValueError("the irradiance of every light must be a finite number above 0")
-    return directions, irradiance
+    return lights, directions, irradiance
 
 
 def _target(photographs: Photographs, irradiance: np.ndarray, albedo: np.ndarray) -> Target:
