@@ -117,8 +117,9 @@ def as_far(photographs: Photographs) -> Photographs:
     the image that has the mean depth."""
     lights, eye = photographs.lights, photographs.camera
     if isinstance(lights, PointLight):
-        middle = jnp.asarray(eye.target if isinstance(eye, PerspectiveCamera) else eye.centre)
-        towards = lights.position - middle
+        assert isinstance(eye, OrthographicCamera | PerspectiveCamera)  # else nobody knows how deep the object lies
+        middle = jnp.asarray(eye.target if isinstance(eye, PerspectiveCamera) else eye.centre, lights.position.dtype)
+        towards = lights.position - middle[None]
         distance = jnp.linalg.norm(towards, axis=1, keepdims=True)
         intensity = lights.intensity.reshape(len(towards), -1)
         lights = jax.vmap(DirectionalLight)(towards / distance, intensity / distance**2)
