@@ -62,7 +62,7 @@ def test_equations_that_rounding_made_indefinite_are_solved():
     values = np.array([100.0, 20, 3, 1, 0.5, -0.06])  # the damping of coefficients is 3e-4 of the mean: 0.006
     right = axes @ np.array([10.0, -4, 1, 0.2, 0.1, 1e-3])
     system = System(jnp.asarray(axes * values @ axes.T), jnp.asarray(right), 5, 1)
-    damped = axes * values @ axes.T + np.diag(system._damping)
+    damped, right = system.matrix + np.diag(system._damping), system.right
     assert np.linalg.eigvalsh(damped)[0] < -0.04
     found = system.solve(True)
     eigenvalues, vectors = np.linalg.eigh(damped)
