@@ -51,10 +51,10 @@ class Config(RecipeConfig):
 
 def run(config: Config, record: Record) -> None:
     rows = []
-    for case in record.progress(config.cases, "cases"):
+    for number, case in enumerate(record.progress(config.cases, "cases"), 1):
         row: dict[str, Any] = {key: _word(value) for key, value in case}
         for name in config.objects:
-            found = record.stage(f"{name} {' '.join(f'{k} {v}' for k, v in case)}", _errors, config, name, case)
+            found = record.stage(f"case {number} {name}", _errors, config, name, case)
             row |= {f"{name}: {title}": found.get(title) for title in (NEAR, FAR, LAMBERT)}
             for title, error in found.items():
                 record.metric(f"{name}, {_title(case)}: {title}", error, "degrees")
