@@ -18,6 +18,7 @@ import numpy as np
 from experiments import stages
 from experiments.progress import Voice
 from experiments.report import Figure, Heading, Metric, Paragraph, Table, render
+from hshjax.cli._page import Picture
 
 _Item = TypeVar("_Item")
 _Scalar = float | int | str | bool | None
@@ -99,7 +100,7 @@ class Record:
         plt.close(figure)
         stages.write_bytes(path, content)
         # CSS pixels are 1/96 inch: on the page the figure has the size it was drawn for.
-        self._blocks.append(Figure(path.name, caption, content, scale=96 / dpi))
+        self._blocks.append(Figure(path.name, caption, Picture(content, 96 / dpi)))
 
     def image(self, name: str, array: Any, caption: str) -> None:
         """An image `(height, width)` or `(height, width, 3)`, written pixel by pixel to `name.png`.
@@ -124,7 +125,7 @@ class Record:
         buffer = io.BytesIO()
         imsave(buffer, pixels, format="png", metadata={"Software": None})
         stages.write_bytes(path, buffer.getvalue())
-        self._blocks.append(Figure(path.name, caption, buffer.getvalue(), scale=1.0))
+        self._blocks.append(Figure(path.name, caption, Picture(buffer.getvalue())))
 
     # Work
 

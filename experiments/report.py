@@ -1,15 +1,13 @@
 """report.html: one file that needs no other, no script and no network."""
 
-import base64
 import dataclasses
 import math
-import struct
-from pathlib import Path
 from typing import Any
 
-import jinja2
 from markdown_it import MarkdownIt
 from markupsafe import Markup, escape
+
+from hshjax.cli._page import Picture, environment
 
 DIGITS = 4
 
@@ -47,22 +45,9 @@ class Table:
 
 @dataclasses.dataclass(frozen=True)
 class Figure:
-    """A PNG, shown at `scale` CSS pixels for one of its own."""
-
     file: str
     caption: str
-    content: bytes
-    scale: float
-
-    @property
-    def uri(self) -> str:
-        return "data:image/png;base64," + base64.b64encode(self.content).decode()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Width and height [CSS pixels], from the header of the PNG: the page does not jump while it loads."""
-        width, height = struct.unpack(">II", self.content[16:24])
-        return round(width * self.scale), round(height * self.scale)
+    picture: Picture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,21 +92,13 @@ def render(
     metrics: list[Metric],
 ) -> str:
     """The report as HTML."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    page = environment(__file__)
     markdown = _markdown()
-    environment.filters["number"] = number
-    environment.filters["markdown"] = lambda text: Markup(markdown.render(text))
-    environment.filters["inline"] = lambda text: Markup(markdown.renderInline(text))
-    environment.filters["breakable"] = lambda text: Markup(
-        str(escape(text)).replace("_", "_<wbr>").replace("/", "/<wbr>")
-    )
-    environment.tests["block"] = lambda block, kind: type(block).__name__ == kind
-    return environment.get_template("report.html").render(
+    page.filters["number"] = number
+    page.filters["markdown"] = lambda text: Markup(markdown.render(text))
+    page.filters["inline"] = lambda text: Markup(markdown.renderInline(text))
+    page.filters["breakable"] = lambda text: Markup(str(escape(text)).replace("_", "_<wbr>").replace("/", "/<wbr>"))
+    page.tests["block"] = lambda block, kind: type(block).__name__ == kind
+    return page.get_template("report.html").render(
         manifest=manifest, config=config_toml, summary=summary, blocks=blocks, metrics=metrics
     )

@@ -75,3 +75,8 @@ def placed(values: np.ndarray, mask: np.ndarray, background: float = 0.0) -> np.
     image = np.full((*mask.shape, *values.shape[1:]), background, values.dtype)
     image[mask] = values
     return image
+
+
+def numbers(mask: np.ndarray) -> np.ndarray:
+    """Which one each pixel of a mask is, row by row; -1 outside: `(rows, columns)`."""
+    return np.where(mask, np.cumsum(mask).reshape(mask.shape) - 1, -1)

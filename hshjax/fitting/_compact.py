@@ -2,8 +2,10 @@
 
 import operator
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import starmap
 from os import PathLike
 from typing import Any
 
@@ -14,9 +16,19 @@ import numpy as np
 
 from hshjax._typing import Float, PairFunction
 from hshjax.bases._warp import AbstractScaledWarp
-from hshjax.brdfs._log_linear import LogLinearBRDF
-from hshjax.fitting._compact_equations import DARK, EVERYWHERE, FLOOR, Choice, Problem, leading_basis
+from hshjax.brdfs._log_linear import LogLinearBRDF, leading_terms
+from hshjax.fitting._compact_equations import (
+    DARK,
+    EVERYWHERE,
+    FLOOR,
+    Choice,
+    Problem,
+    Scale,
+    fault_of,
+    leading_basis,
+)
 from hshjax.fitting._lapack import suited_threads
+from hshjax.fitting._outcome import Outcome
 from hshjax.geometry import from_half_difference
 from hshjax.metrics import with_channels
 from hshjax.samples import Samples
@@ -26,6 +38,9 @@ ALPHAS = tuple(float(alpha) for alpha in np.logspace(-6, 0, 13))
 
 BETAS = (0.1, 0.01, 0.001, 0.0001)
 """Scales of the warp of θ_d that are tried: lobes back to the light from 25 degrees to one."""
+
+NAMED = 3
+"""Materials that an error names."""
 
 HORIZON = float(np.radians(89.5))
 """Where tables and measurements end as a rule, off the normal [radians]."""
@@ -43,6 +58,9 @@ class CompactFit(eqx.Module):
       dark and matte materials that is an absolute error: `hshjax.relative_error` has the relative ones.
     - `albedo`: the largest directional one, of any channel, at 17 angles of the eye up to 80 degrees.
     - `samples`: how many have a weight. - `floored`: share of their values that lie below the floor, and count as it.
+    - `result`: an `Outcome`. `uncertified`: no coefficients hold the albedo below 1, and `model` is the fit that does
+      not. `unusable`: there is nothing to fit, or not at the directions of others: coefficients and figures are NaN.
+    - `fault`: what it is in these two cases; else "".
     """
 
     model: LogLinearBRDF
@@ -52,6 +70,13 @@ class CompactFit(eqx.Module):
     albedo: float
     samples: int = eqx.field(static=True)
     floored: float
+    result: Outcome = eqx.field(default_factory=lambda: Outcome.converged)
+    fault: str = eqx.field(static=True, default="")
+
+    @property
+    def message(self) -> str:
+        """How the fit ended, and what to do."""
+        return self.fault or str(Outcome[self.result])
 
     @property
     def alpha(self) -> float:
@@ -146,10 +171,15 @@ def fit_compact_all(
     rounds: int = 6,
     mixing: Any = None,
     energy: bool = True,
+    throw: bool = True,
 ) -> list[CompactFit]:
     """`fit_compact` of every material, all with samples at the same directions: functions are evaluated once for all.
 
-    **Raises:** what `fit_compact` does; ValueError for materials that differ in a direction or in their channels.
+    - `throw`: whether one material that cannot be fitted is an error. If not, the others are fitted, and `result` and
+      `message` of its own `CompactFit` say what is wrong with it.
+
+    **Raises:** what `fit_compact` does, naming the material; ValueError for materials that differ in a direction, a
+    weight or their channels from the first one that can be fitted, and where none can be, `throw` or not.
     """
     if isinstance(data, Samples) or callable(data):
         raise ValueError("fit_compact_all takes several materials, a list of Samples or BRDFs; fit_compact takes one")
@@ -161,19 +191,63 @@ def fit_compact_all(
     if rounds < 0:
         raise ValueError(f"rounds must be >= 0, got {rounds}")
     with jax.enable_x64(True):
-        samples = [one if isinstance(one, Samples) else half_vector_samples(_callable(one)) for one in data]
-        problem = Problem(samples, coefficients, mixing, dark, everywhere, floor, ridge)
+        samples = list(starmap(_sampled, enumerate(data)))
+        faults = _faults(samples, coefficients)
+        if faults and (throw or len(faults) == len(samples)):
+            raise ValueError(_said(faults))
+        fitted = [k for k in range(len(samples)) if k not in faults]
+        problem = Problem([samples[k] for k in fitted], coefficients, mixing, dark, everywhere, floor, ridge)
         tried, back = problem.resolved(alphas, betas)
 
-    def one(k: int) -> Choice:
-        with jax.enable_x64(True):  # in this thread
-            return problem.choice(k, tried, back, rounds, energy=energy)
+    def one(place: int) -> Choice:
+        with jax.enable_x64(True), _naming(fitted[place]):  # in this thread
+            return problem.choice(place, tried, back, rounds, energy=energy)
 
     # A material is a chain of products too small for several threads; several materials are not.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     with suited_threads(0), ThreadPoolExecutor(cores) as pool:
-        found = list(pool.map(one, range(len(samples))))
-    return [_result(problem, k, one, tried) for k, one in enumerate(found)]
+        found = list(pool.map(one, range(len(fitted))))
+    broken = {k: choice.fault for k, choice in zip(fitted, found, strict=True) if choice.fault}
+    if broken and throw:
+        raise ValueError(_said(broken))
+    fits = {k: _result(problem, place, k, found[place], tried) for place, k in enumerate(fitted)}
+    return [fits[k] if k in fits else _nothing(problem, k, faults[k], tried) for k in range(len(samples))]
+
+
+def _faults(samples: Sequence[Samples], coefficients: int) -> dict[int, str]:
+    """What is wrong with which materials, beside the first with which nothing is."""
+    if not samples:
+        raise ValueError("there is no material to fit")
+    faults, first = {}, None
+    for k, one in enumerate(samples):
+        of = k if first is None else first
+        fault = fault_of(one, samples[of], coefficients, f"material {of}")
+        if fault:
+            faults[k] = fault
+        elif first is None:
+            first = k
+    return faults
+
+
+def _said(faults: dict[int, str]) -> str:
+    named = [f"material {k} {fault}" for k, fault in faults.items()]
+    more = [f"and {len(named) - NAMED} more"] if len(named) > NAMED else []
+    return "; ".join([*named[:NAMED], *more])
+
+
+@contextmanager
+def _naming(material: int) -> Iterator[None]:
+    """What goes wrong tells with which material."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"with material {material}")
+        raise
+
+
+def _sampled(material: int, data: Samples | PairFunction) -> Samples:
+    with _naming(material):
+        return data if isinstance(data, Samples) else half_vector_samples(_callable(data))
 
 
 def _callable(data: Any) -> Any:
@@ -183,10 +257,25 @@ def _callable(data: Any) -> Any:
     return data
 
 
-def _result(problem: Problem, material: int, found: Choice, alphas: tuple[float, ...]) -> CompactFit:
-    """The model of one material, in the default float of the caller."""
+def _result(problem: Problem, place: int, material: int, found: Choice, alphas: tuple[float, ...]) -> CompactFit:
+    """The model of one material, in the default float of the caller. `place`: its number in the problem."""
     basis = leading_basis(found.scale, problem.candidates)
-    parts = (found.coefficients, problem.mixing, found.low, problem.high[material])
+    parts = (found.coefficients, problem.mixing, found.low, problem.high[place])
     model = LogLinearBRDF(basis, *map(jnp.asarray, parts), terms=found.terms)
-    floored = float(problem.floored[material])
-    return CompactFit(model, alphas, found.losses, found.log_error, found.albedo, problem.weight.size, floored)
+    floored = float(problem.floored[place])
+    figures = found.losses, found.log_error, found.albedo, problem.weight.size, floored
+    if found.fault:
+        return CompactFit(model, alphas, *figures, Outcome.uncertified, f"material {material} {found.fault}")
+    return CompactFit(model, alphas, *figures)
+
+
+def _nothing(problem: Problem, material: int, fault: str, alphas: tuple[float, ...]) -> CompactFit:
+    """In place of a material that cannot be fitted: of the shapes of the others, and NaN."""
+    nan = np.full(problem.value.shape[2], np.nan)
+    terms = leading_terms(problem.leading)
+    parts = np.full(len(terms), np.nan), problem.mixing, nan, nan
+    model = LogLinearBRDF(leading_basis(Scale(alphas[0]), problem.candidates), *map(jnp.asarray, parts), terms=terms)
+    losses = np.full(len(alphas), np.nan)
+    return CompactFit(
+        model, alphas, losses, np.nan, np.nan, 0, np.nan, Outcome.unusable, f"material {material} {fault}"
+    )

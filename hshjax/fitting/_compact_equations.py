@@ -74,22 +74,33 @@ class Choice(NamedTuple):
     losses: np.ndarray
     log_error: float
     albedo: float
+    fault: str = ""
+    """What was asked for and is not so, after the name of the material."""
+
+
+def fault_of(samples: Samples, first: Samples, coefficients: int, name: str = "material 0") -> str:
+    """Why a material cannot be fitted beside the `first`, which is called `name`: words to follow its own name. "" if
+    it can be."""
+    try:
+        check_samples(samples, named_norm("C"), coefficients, ridged=True)
+    except ValueError as error:
+        return f"cannot be fitted: {error}"
+    if (
+        any(not np.array_equal(getattr(samples, part), getattr(first, part)) for part in ("wi", "wo", "weight"))
+        or samples.channels != first.channels
+    ):
+        return f"differs from {name} in its directions, weights or channels"
+    if not np.any(np.asarray(samples.value)[np.asarray(samples.weight) > 0] > 0):
+        return "is black: no value is above 0"
+    return ""
 
 
 class Problem:
-    """Many materials at the same directions, and one number of coefficients. Host arrays, float64."""
+    """Many materials at the same directions, none with a `fault_of`, and one number of coefficients. Host arrays,
+    float64."""
 
     def __init__(self, samples: list[Samples], coefficients, mixing, dark, everywhere, floor, ridge):
-        if not samples:
-            raise ValueError("there is no material to fit")
         first = samples[0]
-        for k, one in enumerate(samples):
-            check_samples(one, named_norm("C"), coefficients, ridged=True)
-            if (
-                any(not np.array_equal(getattr(one, part), getattr(first, part)) for part in ("wi", "wo", "weight"))
-                or one.channels != first.channels
-            ):
-                raise ValueError(f"material {k} differs from material 0 in its directions, weights or channels")
         used = np.asarray(first.weight) > 0
         self.wi, self.wo, self.weight = (np.asarray(a, np.float64)[used] for a in (first.wi, first.wo, first.weight))
         self.value = np.stack([np.asarray(one.value, np.float64)[used] for one in samples])
@@ -125,9 +136,6 @@ class Problem:
     def _check(self) -> None:
         if self.mixing.ndim != 2 or self.mixing.shape[1] != self.value.shape[2]:
             raise ValueError(f"mixing must have shape (components, {self.value.shape[2]}), got {self.mixing.shape}")
-        for k, value in enumerate(self.value):
-            if not np.any(value > 0):
-                raise ValueError(f"material {k} is black: no value is above 0")
         if self.weight.size < self.leading[0]:
             raise ValueError(
                 f"{self.weight.size} samples do not determine {self.leading[0]} functions of {self.coefficients} "
@@ -255,7 +263,7 @@ class Problem:
             exponent = np.asarray(basis.evaluate(jnp.asarray(self._columns(terms, coefficients)), *nodes))
             return float(self.furnace.sums(np.exp(np.clip(exponent, low, high))).max())
 
-        largest = albedo()
+        largest, fault = albedo(), ""
         if energy and largest > LIMIT:
             matrix = self._equations(k, scale, everyone, self._weight(k, everyone, logarithm)).matrix(terms)
             functions = np.asarray(basis(*nodes))
@@ -263,18 +271,19 @@ class Problem:
                 coefficients, low = conserved(
                     self.furnace, functions, matrix, terms, coefficients, self.mixing, low, high
                 )
-            except InfeasibleError as error:
-                raise ValueError(
-                    f"material {k} has an albedo of {largest:.3g}, and no coefficients of its functions bring it below "
-                    "1: energy=False fits it as it is"
-                ) from error
-            logarithm, largest = self._logarithm(k, scale, everyone, terms, coefficients, low), albedo()
+            except InfeasibleError:
+                fault = (
+                    f"has an albedo of {largest:.3g}, and no coefficients of its functions bring it below 1: "
+                    "energy=False fits it as it is"
+                )
+            else:
+                logarithm, largest = self._logarithm(k, scale, everyone, terms, coefficients, low), albedo()
         errors = [
             np.abs(np.log1p(z * np.exp(logarithm)) - np.log1p(z * self.value[k]))
             for z in (self.wi[:, 2:], self.wo[:, 2:])
         ]
         mean = np.average(np.mean(errors, axis=(0, 2)), weights=self.weight)
-        return Choice(scale, terms, coefficients, low, losses, float(mean), largest)
+        return Choice(scale, terms, coefficients, low, losses, float(mean), largest, fault)
 
 
 def leading_basis(scale: Scale, sizes: Sequence[int]) -> HalfVectorBasis:

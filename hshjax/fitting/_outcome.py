@@ -23,6 +23,7 @@ class Outcome(eqx.Enumeration):
         "the solver gave up: its linear solve or line search failed. Add a prior or a ridge where the data leave "
         "parameters undetermined, or take a damped solver such as LevenbergMarquardt"
     )
+    unusable = "the data cannot be fitted: look at `message`, mask what it names, or leave the material out"
     uncertified = (
         "the constraints could not be certified within the rounds allowed: look at `certificate` for what is missing, "
         "then allow more rounds, lower the order of the basis, or add a spectral ridge"

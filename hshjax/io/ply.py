@@ -5,6 +5,7 @@ from os import PathLike
 import numpy as np
 
 from hshjax.io._replace import replacing
+from hshjax.photographs import numbers
 from hshjax.surface import Surface
 
 
@@ -50,7 +51,7 @@ def triangles(mask: np.ndarray) -> np.ndarray:
 
     Counter-clockwise in an image whose rows run down.
     """
-    number = np.cumsum(mask).reshape(mask.shape) - 1
+    number = numbers(mask)
     corners = (slice(None, -1), slice(None, -1)), (slice(1, None), slice(None, -1))
     corners += (slice(1, None), slice(1, None)), (slice(None, -1), slice(1, None))
     inside = np.stack([mask[corner] for corner in corners])  # around each square, counter-clockwise

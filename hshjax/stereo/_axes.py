@@ -23,3 +23,13 @@ def camera_axes(camera: AbstractCamera | None) -> Float[np.ndarray, "3 3"]:
     right = np.cross(np.asarray(camera.up, float), back)
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(back, right), back])
+
+
+def far_axes(camera: AbstractCamera | None) -> Float[np.ndarray, "3 3"]:
+    """As `camera_axes`, of a camera far away.
+
+    **Raises:** ValueError for one that is not.
+    """
+    if camera is not None and camera.needs_positions:
+        raise ValueError("the camera must be far away, got one that sees points from different directions")
+    return camera_axes(camera)

@@ -13,7 +13,7 @@ from hshjax.stereo._learn import Shared, coefficients_of, learn
 from hshjax.stereo._observe import Observations
 from hshjax.stereo._propagate import FAR, neighbours
 from hshjax.stereo._result import Stereo
-from hshjax.stereo._shading import ShadingTables
+from hshjax.stereo._shading import AbstractShadingTables
 from hshjax.stereo._stages import finish, hand_on, refine_all, start
 from hshjax.stereo._weights import LIMIT
 
@@ -81,7 +81,9 @@ def solve_calibrated(
             observations = observations.moved(pq)
             pq = start(observations, done)
 
-    def learned(observations: Observations, pq: np.ndarray) -> tuple[Observations, ShadingTables, Shared, np.ndarray]:
+    def learned(
+        observations: Observations, pq: np.ndarray
+    ) -> tuple[Observations, AbstractShadingTables, Shared, np.ndarray]:
         with history.stage("learn", rounds) as done:
             geometry, some = observations.geometry, observations.pixels(chosen)
             tables = geometry.tables(column_brdfs(columns))

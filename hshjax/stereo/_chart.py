@@ -12,6 +12,9 @@ from hshjax._typing import Array, Float
 RIM = 0.995
 """Largest radius that a normal is moved to, 0.3 degrees before the horizon of the camera."""
 
+STRIDE = 6
+"""Every so manieth node of a grid along each axis makes a coarse one: about 350 normals, 6 to 11 degrees apart."""
+
 
 def to_chart(normals: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
     """(p, q) of unit normals; those that face away from the camera are moved to the rim."""
@@ -42,3 +45,11 @@ def grid(size: int) -> tuple[np.ndarray, np.ndarray]:
     pq = pq * np.minimum(1, RIM / np.maximum(radius, RIM))
     square = np.sum(pq * pq, axis=1, keepdims=True)
     return np.concatenate([2 * pq, 1 - square], axis=1) / (1 + square), radius[:, 0] <= 1
+
+
+def coarse_nodes(size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of every `STRIDE`th node of a grid that lies in the disk, the centre among them, and where they are."""
+    normals, inside = grid(size)
+    every = np.arange(size) % STRIDE == size // 2 % STRIDE
+    chosen = np.flatnonzero(inside & np.outer(every, every).ravel())
+    return chosen, normals[chosen, :2] / (1 + normals[chosen, 2:])

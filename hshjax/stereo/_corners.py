@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from hshjax._typing import Bool, Float, Int
+from hshjax._typing import Bool, Float
+from hshjax.photographs import numbers
 
 
 class Corners:
@@ -40,11 +41,6 @@ class Corners:
     def slopes(self, heights: Float[np.ndarray, " corners"]) -> Float[np.ndarray, "pixels 2"]:
         """∂z/∂x and ∂z/∂y of every pixel, in heights per pixel."""
         return np.stack([self.right @ heights, self.up @ heights], axis=1)
-
-
-def numbers(mask: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows columns"]:
-    """Which one each pixel of a mask is, row by row; -1 outside."""
-    return np.where(mask, np.cumsum(mask.ravel()).reshape(mask.shape) - 1, -1)
 
 
 def _second_differences(mask: Bool[np.ndarray, "rows columns"]):

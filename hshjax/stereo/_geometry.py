@@ -14,14 +14,14 @@ from hshjax.brdfs import AbstractBRDF
 from hshjax.camera import AbstractCamera
 from hshjax.lighting import DirectionalLight
 from hshjax.stereo._axes import camera_axes
-from hshjax.stereo._shading import ShadingTables, shading_table
+from hshjax.stereo._shading import AbstractShadingTables, shading_table
 from hshjax.stereo._strength import strengths, unit_directions
 
 Part = slice | np.ndarray
 """Which pixels: some in a row, or by number."""
 
 
-class Geometry(abc.ABC):
+class AbstractGeometry(abc.ABC):
     """Directions and strength of light at pixels.
 
     - `starts`: how often positions are found anew from normals by Lambert's law. - `again`: how often materials are
@@ -45,7 +45,7 @@ class Geometry(abc.ABC):
         """Of a surface that faces the lights, of one channel or all, float32: `(lights, ·)` or `(n, lights, ·)`."""
 
     @abc.abstractmethod
-    def tables(self, brdfs: Sequence[AbstractBRDF]) -> ShadingTables:
+    def tables(self, brdfs: Sequence[AbstractBRDF]) -> AbstractShadingTables:
         """Shading by these lights."""
 
     @abc.abstractmethod
@@ -63,11 +63,11 @@ class Geometry(abc.ABC):
         """Normals of other pixels, by their numbers, in the charts of these."""
 
     @abc.abstractmethod
-    def moved(self, normals: Float[np.ndarray, "pixels 3"]) -> "Geometry":
+    def moved(self, normals: Float[np.ndarray, "pixels 3"]) -> "AbstractGeometry":
         """With pixels on the surface of these normals, which are those of the world."""
 
 
-class Far(Geometry):
+class Far(AbstractGeometry):
     """Lights and camera far away.
 
     **Raises:** ValueError for directions that are zero or not finite.

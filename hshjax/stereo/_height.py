@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from hshjax._typing import Bool, Float
-from hshjax.camera import PerspectiveCamera
-from hshjax.stereo._axes import camera_axes
+from hshjax.camera import AbstractCamera, PerspectiveCamera
+from hshjax.stereo._axes import camera_axes, far_axes
 from hshjax.stereo._poisson import Edges, differences, solve
 
 TOLERANCE, ROUGHLY = 1e-10, 1e-6
@@ -18,13 +18,21 @@ ROUNDS, SETTLED, STEEPNESS = 100, 1e-2, 2.0
 
 
 def height_from_normals(
-    normals: Any, mask: Any = None, *, spacing: float = 1.0, jumps: bool = False, horizon: float = 0.01
+    normals: Any,
+    mask: Any = None,
+    *,
+    camera: AbstractCamera | None = None,
+    spacing: float = 1.0,
+    jumps: bool = False,
+    horizon: float = 0.01,
 ) -> Float[np.ndarray, "rows columns"]:
-    """Heights z `(rows, columns)` of a surface with these normals, seen from far away along z: float64, on the host.
+    """Heights `(rows, columns)` towards the viewer of a surface with these normals, seen from far away: float64, on the
+    host.
 
-    - `normals` `(rows, columns, 3)`: x to the right, y up, z towards the viewer; row 0 has the largest y, as in
-      `height_field`. Their length does not count.
+    - `normals` `(rows, columns, 3)`: in the world, as results have them. Their length does not count.
     - `mask` `(rows, columns)`: where there is a surface; None: everywhere.
+    - `camera`: far away, turned in the world as it may be; of it nothing else counts, `height` neither. None: x is to
+      the right, y up, z towards the viewer; row 0 has the largest y, as in `height_field`.
     - `spacing`: between neighbouring pixels; heights are in its unit.
     - `jumps`: whether the surface may be torn. If not, heights bend where it is. If so, each pixel shares its belief
       between its two neighbours in a row and in a column, by how well they fit its normal, until shares settle: up to
@@ -38,10 +46,11 @@ def height_from_normals(
     (n_a + n_b) · (P_b - P_a) = 0. That is exact for planes and spheres, and of second order in the spacing for others.
     It weighs a pair by its mean n_z, so that it stays finite at the horizon.
 
-    **Raises:** ValueError for other shapes, no pixel with a normal, a spacing that is not above 0, and a horizon
-    outside [0, 1); RuntimeError where the solver does not converge.
+    **Raises:** ValueError for other shapes, a camera nearby, no pixel with a normal, a spacing that is not above 0, and
+    a horizon outside [0, 1); RuntimeError where the solver does not converge.
     """
     vectors, inside = _checked(normals, mask, spacing, "spacing")
+    vectors = vectors @ far_axes(camera).T
     inside = _seen(inside, vectors[..., 2], horizon)
     values = _integrated(vectors, inside, _Far(float(spacing)), jumps)
     return np.where(inside, values - _means(values, inside), np.nan)
@@ -60,7 +69,6 @@ def depth_from_normals(
 
     As `height_from_normals`, but for these:
 
-    - `normals` are in the world, in which `camera` may look anywhere.
     - `distance`: the geometric mean of the depths of each piece, which normals do not tell.
     - `horizon`: is about the cosine between normal and ray.
 
@@ -86,7 +94,7 @@ def depth_from_normals(
     return np.where(inside, distance * np.exp(values - _means(values, inside)), np.nan)
 
 
-class _View(abc.ABC):
+class _AbstractView(abc.ABC):
     """What a normal says of two neighbours, along axis 0 (to the right) or 1 (up)."""
 
     @abc.abstractmethod
@@ -98,7 +106,7 @@ class _View(abc.ABC):
         """Height of the other end above the plane of a normal, in pixels, given the difference of values."""
 
 
-class _Far(_View):
+class _Far(_AbstractView):
     """From far away: values are heights."""
 
     def __init__(self, spacing: float):
@@ -112,7 +120,7 @@ class _Far(_View):
         return normal[..., 2] * change / self.spacing + normal[..., axis]
 
 
-class _Near(_View):
+class _Near(_AbstractView):
     """Through a pinhole: values are logarithms of depths along rays `(rows, columns, 3)`, `apart` at depth 1."""
 
     def __init__(self, ray: np.ndarray, apart: float):
@@ -128,7 +136,9 @@ class _Near(_View):
         return (np.exp(change) * second - first) / self.apart
 
 
-def _integrated(normals: np.ndarray, inside: np.ndarray, view: _View, jumps: bool) -> Float[np.ndarray, "rows columns"]:
+def _integrated(
+    normals: np.ndarray, inside: np.ndarray, view: _AbstractView, jumps: bool
+) -> Float[np.ndarray, "rows columns"]:
     """Values whose differences are what normals say of neighbours; in each piece up to a constant."""
     ends = _ends(inside.shape)
     pairs = [inside[a] & inside[b] for a, b in ends]
@@ -149,7 +159,7 @@ def _integrated(normals: np.ndarray, inside: np.ndarray, view: _View, jumps: boo
     return solve(*_equations(normals, pairs, shares, view), values, TOLERANCE)
 
 
-def _equations(normals: np.ndarray, pairs: list, shares: list, view: _View) -> tuple[Edges, Edges]:
+def _equations(normals: np.ndarray, pairs: list, shares: list, view: _AbstractView) -> tuple[Edges, Edges]:
     """Weights, and weights times differences, of all pairs of neighbours."""
     weights, weighted = [], []
     ends = _ends(normals.shape[:2])

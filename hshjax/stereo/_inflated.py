@@ -17,7 +17,7 @@ import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int
 from hshjax.geometry import normalized
-from hshjax.stereo._corners import numbers
+from hshjax.photographs import numbers
 
 
 class Bulge(eqx.Module):

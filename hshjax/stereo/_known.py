@@ -1,4 +1,4 @@
-"""Checks of what a solver is told of camera, material and albedo: all say what was expected, and what was got."""
+"""Checks of what a solver is told of material and albedo: all say what was expected, and what was got."""
 
 from typing import Any
 
@@ -7,23 +7,11 @@ import numpy as np
 
 from hshjax._typing import Float
 from hshjax.brdfs import AbstractBRDF
-from hshjax.camera import AbstractCamera
-from hshjax.stereo._axes import camera_axes
 from hshjax.stereo._chart import grid
 from hshjax.stereo._slope_shading import slope_shading
 
 TURNED = 1e-3
 """Of the largest value, by which a BRDF may change when both directions turn about the normal."""
-
-
-def far_axes(camera: AbstractCamera | None) -> Float[np.ndarray, "3 3"]:
-    """As `camera_axes`, of a camera far away.
-
-    **Raises:** ValueError for one that is not.
-    """
-    if camera is not None and camera.needs_positions:
-        raise ValueError("the camera must be far away, got one that sees points from different directions")
-    return camera_axes(camera)
 
 
 def check_channels(what: str, got: int, channels: int) -> None:

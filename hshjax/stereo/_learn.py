@@ -14,7 +14,7 @@ import numpy as np
 from hshjax._typing import Array, Bool, Float
 from hshjax.bases._base import matmul
 from hshjax.stereo._refine import Estimate, predicted, refine, robust_refine
-from hshjax.stereo._shading import ShadingTable, ShadingTables
+from hshjax.stereo._shading import AbstractShadingTable, AbstractShadingTables
 from hshjax.stereo._system import System
 from hshjax.stereo._trust import SHADOWS, biweight, initial_trust, residual_scale, robust_trust
 
@@ -71,7 +71,7 @@ class Pixels(NamedTuple):
 
 
 def learn(
-    columns: ShadingTable,
+    columns: AbstractShadingTable,
     guess: Float[Array, "materials columns"],
     pixels: Pixels,
     pq: Float[Array, "n 2"],
@@ -165,7 +165,7 @@ def moved(shared: Shared, system: System, step: np.ndarray) -> Shared:
 
 @eqx.filter_jit
 def shared_equations(
-    columns: ShadingTable,
+    columns: AbstractShadingTable,
     coefficients: Float[Array, "materials columns"],
     values: Float[Array, "n lights"],
     trust: Float[Array, "n lights"],
@@ -220,7 +220,7 @@ def light_blocks(shared, slopes, trust, residual) -> tuple[Array, Array, Array]:
 
 
 def coefficients_of(
-    columns: ShadingTables, materials: ShadingTables, ridge: float = 1e-5
+    columns: AbstractShadingTables, materials: AbstractShadingTables, ridge: float = 1e-5
 ) -> Float[Array, "materials columns"]:
     """The combinations of columns that are nearest to given materials, over all nodes and lights of their tables."""
     rows, wanted = _rows(columns), _rows(materials)
@@ -229,12 +229,12 @@ def coefficients_of(
     return jnp.asarray(np.linalg.solve(gram, rows @ wanted.T).T, columns.dtype)
 
 
-def squares(columns: ShadingTables) -> Float[np.ndarray, "columns columns"]:
+def squares(columns: AbstractShadingTables) -> Float[np.ndarray, "columns columns"]:
     """Mean products of columns over all nodes and lights of their table."""
     rows = _rows(columns)
     return rows @ rows.T / rows.shape[1]
 
 
-def _rows(table: ShadingTables) -> np.ndarray:
+def _rows(table: AbstractShadingTables) -> np.ndarray:
     """A row for each column, over nodes and lights, in float64."""
     return np.asarray(table.rows(), np.float64)

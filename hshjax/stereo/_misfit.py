@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Float
 from hshjax.stereo._refine import weigh
-from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._shading import AbstractShadingTable
 from hshjax.stereo._trust import biweight
 
 CUT = 0.15
@@ -14,7 +14,7 @@ CUT = 0.15
 
 @eqx.filter_jit
 def misfit(
-    table: ShadingTable,
+    table: AbstractShadingTable,
     values: Float[Array, "n lights"],
     trust: Float[Array, "n lights"],
     scale: Float[Array, "n 1"],

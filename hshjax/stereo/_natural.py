@@ -12,13 +12,15 @@ from hshjax._typing import Array, Bool, Float
 from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF, Lambert
 from hshjax.brdfs._base import in_dtype
+from hshjax.camera import AbstractCamera
 from hshjax.fitting import AbstractTerm, fit
 from hshjax.lighting import HarmonicLight
 from hshjax.photographs import Photographs, placed
 from hshjax.reflectance import reflect
+from hshjax.stereo._axes import far_axes
 from hshjax.stereo._history import History, Progress, Stage
 from hshjax.stereo._inflated import Bulge, Inflated, bending
-from hshjax.stereo._known import check_brdf, check_channels, far_axes, known_albedo
+from hshjax.stereo._known import check_brdf, check_channels, known_albedo
 from hshjax.stereo._natural_light import ALL_AROUND, light_columns
 from hshjax.stereo._result import angular_errors
 
@@ -40,20 +42,20 @@ STEADY = 1e-5
 
 
 class NaturalShape(eqx.Module):
-    """Shape and light, from photographs in natural illumination. Host arrays of the pixels of the mask.
+    """Shape and light, from photographs in natural illumination. Host arrays; pixels are those of the mask, row by row.
 
-    - `normals` `(pixels, 3)`: unit, in the world: of a camera far away on +z, x right, y up. - `heights` `(pixels,)`:
-      towards the camera [pixels], above the plane of the outline.
+    - `normals` `(pixels, 3)`: unit, in the world: where `camera` is None, x right, y up, z towards it.
+    - `heights` `(rows, columns)`: towards the camera [pixels], above the plane of the outline; NaN outside.
     - `lights`: many in one, as of `jax.vmap(HarmonicLight)`, in the world.
     - `prediction` `(pixels, images, channels)`: the photographs, as the result has them.
     - `residual`: root mean square of what is not explained, over that of the photographs.
     - `losses` `(starts,)`: of all starts; `spread` `(starts,)`: mean angle of their normals with those returned
       [degrees]. Starts of equal loss with a large spread are an ambiguity that was met.
-    - `mask`, `history`: as of `Stereo`.
+    - `mask`, `history`, `camera`: as of `Stereo`.
     """
 
     normals: Float[np.ndarray, "pixels 3"]
-    heights: Float[np.ndarray, " pixels"]
+    heights: Float[np.ndarray, "rows columns"]
     lights: HarmonicLight
     prediction: Float[np.ndarray, "pixels images channels"]
     residual: float
@@ -61,6 +63,7 @@ class NaturalShape(eqx.Module):
     spread: Float[np.ndarray, " starts"]
     mask: Bool[np.ndarray, "rows columns"]
     history: tuple[Stage, ...]
+    camera: AbstractCamera | None
 
     def image(self, values: Float[np.ndarray, "pixels ..."]) -> Float[np.ndarray, "rows columns ..."]:
         """Values of the pixels in their places, 0 elsewhere."""
@@ -91,6 +94,7 @@ def solve_natural(
     spherical harmonics that is always the best one for the shape, in closed form (variable projection).
 
     - `photographs`: each in a light of its own. `lights`: many `HarmonicLight` in one, in the world, known; or None.
+      `camera`: far away, turned in the world as it may be.
     - `brdf`: isotropic, known, of one channel or those of the photographs; None: `Lambert(1)`. `albedo`: its factors,
       `(pixels,)` or `(pixels, channels)`; None: 1. - `order`: of light that is to be found.
     - `noise`: of values, relative to the root mean square of their photograph and channel.
@@ -135,9 +139,10 @@ def solve_natural(
     shown = np.where(np.asarray(term.known), np.moveaxis(np.asarray(photographs.values), 0, 1), 0)
     missed = np.where(np.asarray(term.known), radiance - shown, 0)
     return NaturalShape(
-        normals @ axes, np.asarray(shape.heights(best), float), _turned(coefficients, axes.T),
-        np.moveaxis(radiance, 0, 1), float(np.sqrt(np.sum(missed**2) / np.sum(shown**2))),
-        losses, np.array(spread), photographs.mask, tuple(history.stages),
+        normals=normals @ axes, heights=placed(np.asarray(shape.heights(best), float), photographs.mask, np.nan),
+        lights=_turned(coefficients, axes.T), prediction=np.moveaxis(radiance, 0, 1),
+        residual=float(np.sqrt(np.sum(missed**2) / np.sum(shown**2))), losses=losses, spread=np.array(spread),
+        mask=photographs.mask, history=tuple(history.stages), camera=photographs.camera,
     )  # fmt: skip
 
 

@@ -16,17 +16,17 @@ from hshjax.geometry import frame
 from hshjax.lighting import Points
 from hshjax.stereo._axes import camera_axes
 from hshjax.stereo._chart import from_chart, to_chart
-from hshjax.stereo._geometry import Geometry
+from hshjax.stereo._geometry import AbstractGeometry
 from hshjax.stereo._near_shading import angle_shares, near_tables
 from hshjax.stereo._places import on_plane, on_surface, spacing
-from hshjax.stereo._shading import ShadingTables
+from hshjax.stereo._shading import AbstractShadingTables
 from hshjax.stereo._strength import Lights
 
 SOME = 2000
 """Pixels that stand for all where angles of lights are counted."""
 
 
-class Near(Geometry):
+class Near(AbstractGeometry):
     """Pixels of a mask at their places: on a plane, or at `positions`.
 
     **Raises:** ValueError for a light without a finite position, or within the surface: nearer to a pixel than its
@@ -57,7 +57,7 @@ class Near(Geometry):
     def irradiance(self, part):
         return np.asarray(_incident(self._lights, *self._places(part))[1])
 
-    def tables(self, brdfs: Sequence[AbstractBRDF]) -> ShadingTables:
+    def tables(self, brdfs: Sequence[AbstractBRDF]) -> AbstractShadingTables:
         step = -(-len(self._positions) // SOME)
         return near_tables(brdfs, angle_shares(self.towards(slice(None, None, step))))
 

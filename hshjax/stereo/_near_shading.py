@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,13 +16,23 @@ from hshjax._typing import Array, Float, Int
 from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF
 from hshjax.geometry import angles, azimuth
-from hshjax.stereo._shading import SIZE, ShadingTable, ShadingTables, bilinear, bilinear_slopes, lerp, shading_table
+from hshjax.stereo._chart import coarse_nodes
+from hshjax.stereo._refine import weigh
+from hshjax.stereo._shading import (
+    SIZE,
+    AbstractShadingTable,
+    AbstractShadingTables,
+    bilinear,
+    bilinear_slopes,
+    lerp,
+    shading_table,
+)
 
 ANGLES = 64
 """Nodes over [0, π], 2.9 degrees apart: a highlight moves by half of that, as between nodes of the chart."""
 
 
-class NearTables(ShadingTables):
+class NearTables(AbstractShadingTables):
     """Shading under a light at any angle to the view.
 
     - `values` `(angles, size², columns)`: at nodes of the angle, evenly over [0, π], and of `grid(size)`, the light in
@@ -55,7 +66,7 @@ class NearTables(ShadingTables):
         return NearTable(self, node, above, jnp.stack(azimuth(towards), axis=-1))
 
 
-class NearTable(ShadingTable):
+class NearTable(AbstractShadingTable):
     """Shading of some pixels, each under lights of its own.
 
     - `node` and `above` `(n, lights)`: the node below the light's angle, and how far above it, in steps.
@@ -97,6 +108,19 @@ class NearTable(ShadingTable):
         cos, sin = self.turn[..., :1], self.turn[..., 1:]
         slopes = [_last(cos * along - sin * across), _last(sin * along + cos * across)]
         return _last(bilinear(corners, u, v)), jnp.stack(slopes, axis=1)
+
+    @eqx.filter_jit
+    def best_node(self, values: Float[Array, "n lights"], trust: Float[Array, "n lights"]) -> Float[Array, "n 2"]:
+        # Every pixel has shading of its own: node by node.
+        def look(best, node):
+            at = jnp.broadcast_to(node, best[1].shape)
+            _, cost = weigh(self.at(at), values, trust)
+            better = cost < best[0]
+            return (jnp.where(better, cost, best[0]), jnp.where(better[:, None], at, best[1])), None
+
+        nodes = jnp.asarray(coarse_nodes(self.tables.size)[1], values.dtype)
+        begin = jnp.full_like(values[:, 0], jnp.inf), jnp.zeros((len(values), 2), values.dtype)
+        return jax.lax.scan(look, begin, nodes)[0][1]
 
     def _cell(self, pq: Array) -> tuple[list[Array], Array, Array]:
         """Values `(n, lights, columns)` at the corners (0, 0), (0, 1), (1, 0), (1, 1) of cells, and where in them."""

@@ -11,7 +11,7 @@ from hshjax.camera import OrthographicCamera, PerspectiveCamera
 from hshjax.lighting import DirectionalLight, PointLight
 from hshjax.photographs import LUMA, Photographs
 from hshjax.stereo._chart import from_chart
-from hshjax.stereo._geometry import Far, Geometry
+from hshjax.stereo._geometry import AbstractGeometry, Far
 from hshjax.stereo._highlit import below_highlights
 from hshjax.stereo._known import check_channels
 from hshjax.stereo._learn import Pixels
@@ -42,7 +42,7 @@ class Observations:
     than three photographs, directions that span no space, and photographs of which nothing is known.
     """
 
-    def __init__(self, photographs: Photographs, *, directed: bool = True, geometry: Geometry | None = None):
+    def __init__(self, photographs: Photographs, *, directed: bool = True, geometry: AbstractGeometry | None = None):
         self.photographs = photographs
         self.geometry = geometry_of(photographs) if geometry is None else geometry
         if directed:
@@ -143,7 +143,7 @@ def grey(values: Float[np.ndarray, "*batch channels"]) -> Float[np.ndarray, "*ba
     return values @ np.asarray(LUMA if channels == 3 else [1 / channels] * channels, np.float32)
 
 
-def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3"] | None = None) -> Geometry:
+def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3"] | None = None) -> AbstractGeometry:
     """From where pixels are lit and seen. `positions`: of pixels, where that depends on them; None: on a plane."""
     lights, camera = photographs.lights, photographs.camera
     if not isinstance(lights, DirectionalLight | PointLight):
@@ -170,7 +170,7 @@ def geometry_of(photographs: Photographs, positions: Float[np.ndarray, "pixels 3
     return Near(lights, camera, photographs.mask, positions)
 
 
-def _check_space(geometry: Geometry, pixels: int) -> None:
+def _check_space(geometry: AbstractGeometry, pixels: int) -> None:
     """ValueError where lights lie in a plane, as seen from each of some pixels."""
     some = geometry.towards(slice(None, None, -(-pixels // SOME)))
     if np.max(np.linalg.svd(np.asarray(some, float), compute_uv=False)[..., -1]) < PLANE:

@@ -44,7 +44,7 @@ def on_surface(
     if isinstance(camera, PerspectiveCamera):
         depth = depth_from_normals(image, camera, mask, distance=_distance(camera))
     else:
-        depth = height_from_normals(image @ camera_axes(camera).T, mask, spacing=spacing(camera))
+        depth = height_from_normals(image, mask, camera=camera, spacing=spacing(camera))
     return _at(camera, mask, _filled(depth)[mask])
 
 

@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int
+from hshjax.photographs import numbers
 from hshjax.stereo._chart import from_chart
-from hshjax.stereo._corners import numbers
 from hshjax.stereo._misfit import misfit
-from hshjax.stereo._shading import ShadingTable
+from hshjax.stereo._shading import AbstractShadingTable
 
 FAR = (8, 4, 2, 16)
 """Distances of far neighbours, one a sweep, in turn."""
@@ -32,7 +32,7 @@ def neighbours(mask: Bool[np.ndarray, "rows columns"], distance: int = 1) -> Int
 
 @eqx.filter_jit
 def take_over(
-    table: ShadingTable,
+    table: AbstractShadingTable,
     values: Float[Array, "n lights"],
     trust: Float[Array, "n lights"],
     scale: Float[Array, "n 1"],

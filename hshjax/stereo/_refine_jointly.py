@@ -252,16 +252,7 @@ def _together(problem, found, material, settings, normals, lights, done) -> tupl
         name for name, there in (("normals", normals), ("brdf", material.start.size > 0), ("lights", lights)) if there
     )
     prior = _Prior.of(problem, found, material, settings)
-    losses, steps, residual = [], 0, problem.residual
-    for _ in range(settings.rounds):
-        moved, left, found = _round(problem, prior, state, residual, material, settings, moves)
-        losses.append(found.before)
-        steps += int(found.steps)
-        done()
-        if not found.after < found.before:  # at the optimum, to rounding and to what bounds cut off
-            break
-        state, residual = moved, left
-        losses.append(found.after)
+    state, losses, steps = _rounds(problem, prior, state, material, settings, moves, done)
     figures = {"noise": problem.noise, "loss_start": losses[0], "loss_end": losses[-1], "steps": float(steps)}
     if lights:
         figures["turned"] = float(jnp.degrees(jnp.mean(jnp.linalg.norm(state.before[:, :2], axis=1))))
@@ -293,6 +284,38 @@ class _Prior(NamedTuple):
         return cls(pq, shading, materials, root, amount / trust.shape[1] / deviations**2, found.directions)
 
 
+def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np.ndarray, "pixels 2"]:
+    """Every normal, with all that is shared held."""
+    nothing = Material.of(shared.brdf, False)
+    still = jnp.zeros((len(shared.directions), 3), shared.directions.dtype)
+    found = np.empty_like(pq)
+    masked = stereo.outliers | stereo.shadows
+    for part, seen in observations.tiles():
+        hidden, begin = observations.filled(masked[part]), observations.filled(pq[part])
+        problem = _Problem.of(seen, hidden, stereo.stray, shared, begin, noise=noise)
+        state = _State(shared.brdf, nothing.start, problem.pq, shared.directions, still[:, 0], still)
+        prior = _Prior.of(problem, shared, nothing, settings)
+        state, _, _ = _rounds(problem, prior, state, nothing, settings, ("normals",))
+        found[part] = np.asarray(state.pq)[: part.stop - part.start]
+        done()
+    return found
+
+
+def _rounds(problem, prior, state, material, settings, moves, done=lambda: None) -> tuple[_State, list[float], int]:
+    """Rounds while the whole loss falls: the last state, losses before and after each round, and steps of all."""
+    losses, steps, residual = [], 0, problem.residual
+    for _ in range(settings.rounds):
+        moved, left, found = _round(problem, prior, state, residual, material, settings, moves)
+        losses.append(found.before)
+        steps += int(found.steps)
+        done()
+        if not found.after < found.before:  # at the optimum, to rounding and to what bounds cut off
+            break
+        state, residual = moved, left
+        losses.append(found.after)
+    return state, losses, steps
+
+
 class _Found(NamedTuple):
     """The whole loss before and after a round, and its steps."""
 
@@ -310,7 +333,9 @@ def _round(problem, prior, state, residual, material, settings, moves) -> tuple[
     mix, response = of_numbers(slopes, trust, prior.root if "normals" in moves else None, metric)
     across = jnp.asarray(tangents(np.asarray(state.directions, float)), trust.dtype)
     own = whitening(of_normals(slopes, (1 + settings.stiffness) * trust))
-    scale = of_lights(slopes, trust, rendered, state.pq, across, prior.lights)
+    # Not for nothing: it renders twice, and where nothing is trusted it is infinite.
+    lit = "lights" in moves
+    scale = of_lights(slopes, trust, rendered, state.pq, across, prior.lights) if lit else jnp.zeros_like(state.before)
     coordinates = Coordinates(
         material, state.y, mix, state.pq, own, response if "normals" in moves else jnp.zeros_like(response),
         state.directions, across, state.gains, scale,
@@ -342,47 +367,6 @@ def _loss(problem, prior, terms, state, residual) -> float:
     normals = jnp.einsum("nji,nj->ni", prior.root, state.pq - problem.pq)
     lights = jnp.sqrt(prior.lights)[None] * state.before
     return problem.robust(residual) + float(sum(jnp.sum(part**2) for part in (near, normals, lights))) / 2
-
-
-def _follow(observations, stereo, shared, pq, settings, noise, done) -> Float[np.ndarray, "pixels 2"]:
-    """Every normal, with all that is shared held."""
-    nothing = Material.of(shared.brdf, False)
-    dtype = shared.directions.dtype
-    empty, still = jnp.zeros((0, 0), dtype), jnp.zeros((len(shared.directions), 3), dtype)
-    found = np.empty_like(pq)
-    masked = stereo.outliers | stereo.shadows
-    for part, seen in observations.tiles():
-        hidden, begin = observations.filled(masked[part]), observations.filled(pq[part])
-        problem = _Problem.of(seen, hidden, stereo.stray, shared, begin, noise=noise)
-        now, residual = problem.pq, problem.residual
-        first = problem.trust(residual)
-        slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, first)
-        keep = settings.stiffness**0.5 * root_of(of_normals(slopes, first))
-        for _ in range(settings.rounds):
-            trust = problem.trust(residual)
-            slopes = slopes_at(nothing, still[0, :0], shared, now, problem.values, trust)
-            own = whitening(of_normals(slopes, (1 + settings.stiffness) * trust))
-            coordinates = Coordinates(
-                nothing, still[0, :0], empty, now, own, jnp.zeros((len(now), 2, 0), dtype),
-                shared.directions, jnp.zeros((len(still), 2, 3), dtype), still[:, 0], still,
-            )  # fmt: skip
-            objective = {
-                "photographs": Photometric(problem.values, trust, coordinates),
-                "normals": NearNormals(problem.pq, keep, coordinates),
-            }
-            zero = Unknowns(jnp.zeros_like(now), still[0, :0], still)
-            fitted = fit(
-                zero, objective, settings.solver, max_steps=settings.steps, throw=False, trainable=_own_normals
-            )
-            now = within(coordinates.normals(fitted.model))
-            residual = _left(_at(shared, now), problem.values, trust)
-        found[part] = np.asarray(now)[: part.stop - part.start]
-        done()
-    return found
-
-
-def _own_normals(unknowns: Any) -> Any:
-    return unknowns.normals
 
 
 @eqx.filter_jit

@@ -25,7 +25,7 @@ class Stereo(eqx.Module):
       `shadows`: dark values, which were not looked at.
     - `mask` `(rows, columns)`. - `history`: the stages of the solution. - `camera`: that of the photographs.
     - `positions` `(pixels, 3)`: of the surface, in the world, where lights or camera are nearby; else None, and
-      `height_from_normals` tells heights, of normals in the axes of the camera.
+      `height_from_normals(result.image(result.normals), result.mask, camera=result.camera)` tells heights.
     """
 
     normals: Float[np.ndarray, "pixels 3"]

@@ -16,10 +16,14 @@ from hshjax.bases._base import matmul
 from hshjax.brdfs import AbstractBRDF
 from hshjax.lighting import DirectionalLight
 from hshjax.reflectance import reflect
-from hshjax.stereo._chart import grid
+from hshjax.stereo._chart import coarse_nodes, grid
+from hshjax.stereo._weights import non_negative_weights
 
 SIZE = 129
 """Nodes of a table along an axis: two degrees apart at most."""
+
+TOGETHER = 512
+"""Pixels that are looked at together: their normal equations at all coarse nodes stay in the cache."""
 
 
 class AbstractShading(eqx.Module):
@@ -42,7 +46,7 @@ class AbstractShading(eqx.Module):
         """The same, and its derivative in p and q."""
 
 
-class ShadingTables(eqx.Module):
+class AbstractShadingTables(eqx.Module):
     """Such shading at nodes, of which the tables of pixels are made."""
 
     @property
@@ -56,7 +60,7 @@ class ShadingTables(eqx.Module):
         """Number of columns."""
 
     @abc.abstractmethod
-    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTables":
+    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "AbstractShadingTables":
         """Of linear combinations of the columns."""
 
     @abc.abstractmethod
@@ -64,19 +68,24 @@ class ShadingTables(eqx.Module):
         """Of each column, so that sums of products are those over nodes and lights, up to a factor."""
 
     @abc.abstractmethod
-    def of(self, towards: Float[Array, "... lights 3"]) -> "ShadingTable":
+    def of(self, towards: Float[Array, "... lights 3"]) -> "AbstractShadingTable":
         """The table of some pixels. `towards`: unit vectors to the lights, in the frame of each pixel's view."""
 
 
-class ShadingTable(ShadingTables, AbstractShading):
+class AbstractShadingTable(AbstractShadingTables, AbstractShading):
     """Shading of some pixels, or of all where it is the same for all: linear between nodes."""
 
     @abc.abstractmethod
-    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "ShadingTable":
+    def mixed(self, coefficients: Float[Array, "materials columns"]) -> "AbstractShadingTable":
         """Of linear combinations of the columns."""
 
+    @abc.abstractmethod
+    def best_node(self, values: Float[Array, "n lights"], trust: Float[Array, "n lights"]) -> Float[Array, "n 2"]:
+        """The normal of each pixel, of those of `coarse_nodes`, that leaves the least weighted squares of its values,
+        with the best weights >= 0 of the columns."""
 
-class FarTable(ShadingTable):
+
+class FarTable(AbstractShadingTable):
     """Shading under lights and view that all pixels share.
 
     - `values` `(size², columns, lights)`: at the nodes of `grid(size)`.
@@ -113,6 +122,22 @@ class FarTable(ShadingTable):
     def mixed(self, coefficients: Float[Array, "materials columns"]) -> "FarTable":
         values = matmul(coefficients, self.rows()).reshape(coefficients.shape[0], self.values.shape[0], -1)
         return FarTable(jnp.moveaxis(values, 0, 1), self.size)
+
+    @eqx.filter_jit
+    def best_node(self, values: Float[Array, "n lights"], trust: Float[Array, "n lights"]) -> Float[Array, "n 2"]:
+        chosen, pq = coarse_nodes(self.size)
+        rows = self.values[chosen]
+        nodes, materials, lights = rows.shape
+        products = (rows[:, :, None] * rows[:, None]).reshape(-1, lights).T
+        flat = rows.reshape(-1, lights).T
+
+        def best(pixel):
+            values, trust = pixel
+            gram = matmul(trust[None], products).reshape(nodes, materials, materials)
+            moment = matmul((trust * values)[None], flat).reshape(nodes, materials)
+            return jnp.argmax(non_negative_weights(gram, moment)[1])
+
+        return jnp.asarray(pq, values.dtype)[jax.lax.map(best, (values, trust), batch_size=TOGETHER)]
 
     def _cell(self, pq: Array) -> tuple[list[Array], Array, Array]:
         """Rows at the corners (0, 0), (0, 1), (1, 0), (1, 1) of the cells that points lie in, and where in them."""

@@ -8,12 +8,14 @@ import numpy as np
 
 from hshjax._typing import Bool, Float
 from hshjax.brdfs import AbstractBRDF
+from hshjax.camera import AbstractCamera
 from hshjax.lighting import DirectionalLight
 from hshjax.photographs import Photographs, placed
+from hshjax.stereo._axes import far_axes
 from hshjax.stereo._contour import silhouette
 from hshjax.stereo._corners import Corners
 from hshjax.stereo._history import History, Progress, Stage
-from hshjax.stereo._known import check_brdf, check_channels, far_axes, known_albedo
+from hshjax.stereo._known import check_brdf, check_channels, known_albedo
 from hshjax.stereo._relief_energy import ReliefEnergy, State, Target, Weights
 from hshjax.stereo._relief_levels import dome, finer, levels
 from hshjax.stereo._relief_solve import nearest_minimum
@@ -44,11 +46,12 @@ WIDER = 3.0
 class SingleImage(eqx.Module):
     """A surface from its shading. Host arrays; pixels are those of the mask, row by row.
 
-    - `normals` `(pixels, 3)`: unit, in the world: of a camera far away on +z, x right, y up. Those of `corners`.
-    - `corners` `(rows + 1, columns + 1)`: heights at the corners of pixels; the slope of a pixel in x is the mean of
-      those of its upper and lower edge, likewise in y. NaN where no pixel is.
-    - `heights` `(rows, columns)`: of pixels, the means of their corners; NaN outside. In the unit of the spacing, with
-      mean 0 over each piece; pieces that touch at a corner are one.
+    - `normals` `(pixels, 3)`: unit, in the world: where `camera` is None, x right, y up, z towards it. Those of
+      `corners`.
+    - `heights` `(rows, columns)`: towards the camera [pixels], the means of the corners of each pixel; NaN outside.
+      Their mean over each piece is 0; pieces that touch at a corner are one.
+    - `corners` `(rows + 1, columns + 1)`: heights at the corners of pixels, likewise; the slope of a pixel in x is the
+      mean of those of its upper and lower edge, likewise in y. NaN where no pixel is.
     - `prediction` `(pixels, lights, channels)`: the photographs, as the result has them.
     - `shadows` `(pixels, lights)`: where the surface turns away from the light, so that nothing but smoothness tells
       its normal. `outliers` `(pixels, lights)`: known values that count for less than a half, as they do not fit.
@@ -56,7 +59,7 @@ class SingleImage(eqx.Module):
       was told to hold the normal.
     - `scale`: by which BRDF times albedo is multiplied; 1 where it is known. - `start`: the one that led here.
     - `mask` `(rows, columns)`. - `history`: a stage for each start, with `energy` (a pixel), `misfit` (median, of a
-      bright value) and `steps`.
+      bright value) and `steps`. - `lights`, `camera`: those of the photographs.
     """
 
     normals: Float[np.ndarray, "pixels 3"]
@@ -71,6 +74,8 @@ class SingleImage(eqx.Module):
     start: str
     mask: Bool[np.ndarray, "rows columns"]
     history: tuple[Stage, ...]
+    lights: DirectionalLight
+    camera: AbstractCamera | None
 
     def image(self, values: Float[np.ndarray, "pixels ..."]) -> Float[np.ndarray, "rows columns ..."]:
         """Values of the pixels in their places, 0 elsewhere."""
@@ -86,7 +91,6 @@ def solve_single_image(
     contour: bool = True,
     smoothness: float = 1.0,
     starts: Sequence[Start] = ("smooth", "convex", "concave", "flat"),
-    spacing: float = 1.0,
     progress: Progress | None = None,
 ) -> SingleImage:
     """A height field whose shading is that of a photograph, under a known light far away.
@@ -95,7 +99,8 @@ def solve_single_image(
     and spheres do), and those of the outline look out of the mask. Gauss-Newton steps by sparse factors, from coarse to
     fine while smoothness decreases, from several starts, of which the one with the least energy is kept.
 
-    - `photographs`: one; or several under different lights, which then determine more.
+    - `photographs`: one; or several under different lights, which then determine more. `camera`: far away,
+      turned in the world as it may be.
     - `brdf`: isotropic, of one channel or as many as photographs have. Times `albedo`, `(pixels,)` or `(pixels,
       channels)`, and times the irradiance of the light it gives the radiance of photographs.
     - `scaled`: whether one factor of all of `brdf` is unknown, and found.
@@ -104,7 +109,7 @@ def solve_single_image(
     - `smoothness`: how much bending counts, relative to what suits photographs with little noise.
     - `starts`: what is tried: a smooth surface, round hills, round hollows, flat ground. A light near the camera tells
       no hills from hollows, and one aside hardly does where shadows are cast: name what is known, as in `("convex",)`.
-    - `spacing`: between pixels; heights are in its unit. - `progress`: called with a stage, what is done and to do.
+    - `progress`: called with a stage, what is done and to do.
 
     Attached shadows are told from what the surface predicts; there normals are filled in smoothly (`shadows`). Cast
     shadows and light from other parts are not modelled. Values that are not finite are unknown.
@@ -117,13 +122,12 @@ def solve_single_image(
     BRDF that is not isotropic, reflects nothing or has other channels, a mask without outline where `contour` is asked
     for, and arguments out of range.
     """
-    for name, value in (("smoothness", smoothness), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be a finite number above 0, got {value}")
+    if not (np.isfinite(smoothness) and smoothness > 0):
+        raise ValueError(f"smoothness must be a finite number above 0, got {smoothness}")
     if not starts or not set(starts) <= set(get_args(Start)):
         raise ValueError(f"starts must be some of {', '.join(get_args(Start))}, got {tuple(starts)!r}")
     axes = far_axes(photographs.camera)
-    directions, irradiance = _lights(photographs, axes)
+    lights, directions, irradiance = _lights(photographs, axes)
     check_brdf(brdf, directions, photographs.channels)
     albedo = known_albedo(albedo, photographs.pixels, photographs.channels)
     target = _target(photographs, irradiance, albedo[:, None])
@@ -151,13 +155,14 @@ def solve_single_image(
     outliers = np.any(known & ~fits, axis=2)
     held = np.zeros(photographs.pixels, bool)
     held[energy.rim] = True
-    corners, heights = _placed_heights(energy.corners, state.heights, spacing)
+    corners, heights = _placed_heights(energy.corners, state.heights)
     normals = normals_of(energy.corners.slopes(state.heights)) @ axes
     return SingleImage(
         normals=normals, corners=corners, heights=heights,
         prediction=state.shading.value * bright * irradiance, shadows=dark, outliers=outliers,
         determined=np.any(np.any(known, axis=2) & ~dark & ~outliers, axis=1), contour=held,
         scale=float(np.exp(state.scale)), start=start, mask=photographs.mask, history=tuple(history.stages),
+        lights=lights, camera=photographs.camera,
     )  # fmt: skip
 
 
@@ -192,7 +197,7 @@ def _first_scale(energy: ReliefEnergy, hill: Float[np.ndarray, " corners"]) -> f
 
 
 def _placed_heights(
-    corners: Corners, heights: Float[np.ndarray, " corners"], spacing: float
+    corners: Corners, heights: Float[np.ndarray, " corners"]
 ) -> tuple[Float[np.ndarray, "rows_and_1 columns_and_1"], Float[np.ndarray, "rows columns"]]:
     """Heights of corners and of pixels in their places; the mean over the pixels of each piece is 0."""
     from scipy import ndimage
@@ -205,13 +210,13 @@ def _placed_heights(
     of_corner = np.zeros(corners.count, int)
     of_corner[corners.middle.indices] = np.repeat(piece, 4)
     placed_corners, placed_pixels = np.full(corners.used.shape, np.nan), np.full(corners.mask.shape, np.nan)
-    placed_corners[corners.used] = spacing * (heights - means[of_corner])
-    placed_pixels[corners.mask] = spacing * (pixels - means[piece])
+    placed_corners[corners.used] = heights - means[of_corner]
+    placed_pixels[corners.mask] = pixels - means[piece]
     return placed_corners, placed_pixels
 
 
-def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions in the axes of the camera `(lights, 3)`, and irradiance `(lights, 1 or channels)`."""
+def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[DirectionalLight, np.ndarray, np.ndarray]:
+    """Lights, unit directions in the axes of the camera `(lights, 3)`, irradiance `(lights, 1 or channels)`."""
     lights = photographs.lights
     if not isinstance(lights, DirectionalLight):
         kind = "none" if lights is None else type(lights).__name__
@@ -223,7 +228,7 @@ def _lights(photographs: Photographs, axes: np.ndarray) -> tuple[np.ndarray, np.
     check_channels("lights", irradiance.shape[1], photographs.channels)
     if not np.all(np.isfinite(irradiance) & (irradiance > 0)):
         raise ValueError("the irradiance of every light must be a finite number above 0")
-    return directions, irradiance
+    return lights, directions, irradiance
 
 
 def _target(photographs: Photographs, irradiance: np.ndarray, albedo: np.ndarray) -> Target:

@@ -17,7 +17,7 @@ from hshjax.stereo._propagate import take_over
 from hshjax.stereo._refine import Estimate, normal_equations, predicted, robust_refine, weigh
 from hshjax.stereo._rendered import Rendered
 from hshjax.stereo._restart import refine_from_both
-from hshjax.stereo._shading import AbstractShading, ShadingTables
+from hshjax.stereo._shading import AbstractShading, AbstractShadingTables
 from hshjax.stereo._trust import initial_trust, residual_scale
 
 
@@ -42,8 +42,8 @@ def band_normals(
 
 
 def refine_all(
-    observations: Observations, tables: ShadingTables, stray: Float[Array, ""], pq: Float[np.ndarray, "pixels 2"],
-    rounds: int, steps: int, done: Running,
+    observations: Observations, tables: AbstractShadingTables, stray: Float[Array, ""],
+    pq: Float[np.ndarray, "pixels 2"], rounds: int, steps: int, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
     """Every normal from where it is and from the best of normals all over, outliers found in rounds."""
     found = np.empty_like(pq)
@@ -56,7 +56,8 @@ def refine_all(
 
 
 def hand_on(
-    observations: Observations, tables: ShadingTables, stray: Float[Array, ""], pq: Float[np.ndarray, "pixels 2"],
+    observations: Observations, tables: AbstractShadingTables, stray: Float[Array, ""],
+    pq: Float[np.ndarray, "pixels 2"],
     near: Int[np.ndarray, "pixels 8"], far: Int[np.ndarray, "pixels 8"], smoothness: float, done: Running,
 ) -> Float[np.ndarray, "pixels 2"]:  # fmt: skip
     """Normals taken over from other pixels, all at once: a sweep.
@@ -88,7 +89,7 @@ def _hand_on(table, values, plain, pq, near, far, there, smoothness):
 
 def finish(
     observations: Observations,
-    tables: ShadingTables | Rendered,
+    tables: AbstractShadingTables | Rendered,
     stray: Float[Array, ""],
     pq: Float[np.ndarray, "pixels 2"],
     done: Running,

@@ -7,6 +7,9 @@ from hshjax._typing import Array, Float
 BOUND = 1e-9
 """Between a bound and what stands on it: a box must not be empty."""
 
+ROUNDING = 1e-5
+"""Of equations, relative to their largest eigenvalue: less is not known of them."""
+
 
 class System:
     """Equations of a step, to which priors are added.
@@ -40,15 +43,32 @@ class System:
 
     def solve(self, stray: bool) -> Float[np.ndarray, " unknowns"]:
         """The best step within bounds; `stray`: whether stray light takes part in it."""
-        from scipy.linalg import solve_triangular  # slow to import
-        from scipy.optimize import lsq_linear
+        from scipy.optimize import lsq_linear  # slow to import
 
         keep = np.ones(len(self.right), bool)
         keep[self.stray] = stray
         step = np.zeros_like(self.right)
-        root = np.linalg.cholesky((self.matrix + np.diag(self._damping))[np.ix_(keep, keep)])
-        right = solve_triangular(root, self.right[keep], lower=True)
+        root, right = _halved((self.matrix + np.diag(self._damping))[np.ix_(keep, keep)], self.right[keep])
         # The least of |rootᵀ step - right|² above bounds; BOUND keeps what stands on one inside.
         bounds = (np.minimum(self.least[keep], 0) - BOUND, np.inf)
         step[keep] = lsq_linear(root.T, right, bounds, method="bvls").x
         return step
+
+
+def _halved(
+    matrix: Float[np.ndarray, "n n"], right: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
+    """A root R, R Rᵀ = matrix, and the r of R r = right.
+
+    Equations are sums in float32 of what is left when pixels have taken their own: where they take nearly all, rounding
+    makes them indefinite. Then the root is that of the matrix with no eigenvalue below `ROUNDING`.
+    """
+    from scipy.linalg import solve_triangular
+
+    try:
+        root = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrix)
+        scale = np.sqrt(np.maximum(values, ROUNDING * values[-1]))
+        return vectors * scale, vectors.T @ right / scale
+    return root, solve_triangular(root, right, lower=True)

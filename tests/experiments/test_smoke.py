@@ -48,7 +48,9 @@ LONG = (
     "recovery",
     "shape_from_shading",
     "stereo_ablation",
+    "stereo_hard",
     "stereo_held_out",
+    "stereo_near",
 )
 """Their smaller parts are tested by themselves; one makes an environment for another renderer."""
 

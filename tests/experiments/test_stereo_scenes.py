@@ -13,6 +13,7 @@ from experiments.recipes._stereo_materials import BODY, material
 from experiments.recipes._stereo_meshes import HALF_WIDTH, LEAST_COSINE, camera, pinhole, relief, seen, visible
 from experiments.recipes._stereo_scenes import NAMES, parts, photographs, scenes
 from experiments.recipes._stereo_shapes import SHAPES
+from experiments.recipes.stereo_near import as_far
 from hshjax import Horizon, OrthographicCamera
 from tests.helpers import X64, assert_close
 
@@ -390,3 +391,16 @@ def test_a_camera_tells_the_mean_depth():
             else:
                 assert np.isclose(np.log(3 - told.target[2] - off), np.log(3 - position[:, 2]).mean())
             np.testing.assert_allclose(told.rays()[1], eye.rays()[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("eye", [camera(5), pinhole(5, 3.0)])
+def test_lights_taken_as_far_away_are_what_the_middle_of_the_image_sees(eye):
+    """A plane, whose middle pixel has the mean depth: there, and nowhere else, nothing changes."""
+    plane = relief(lambda p: 0.3 + 0 * p[0], steps=8)
+    near = photographs(plane, material("lambert"), nearby(directional(6, "dome", 0.2), 2.0), camera=eye, size=5)
+    far = as_far(near)
+    assert far.camera is None
+    again = photographs(plane, material("lambert"), far.lights, size=5)
+    middle = 5 * 5 // 2
+    np.testing.assert_allclose(again.values[middle], near.values[middle], rtol=1e-9 if X64 else 1e-5)
+    assert np.abs(again.values[0] / near.values[0] - 1).max() > 0.05

@@ -1,15 +1,18 @@
 """Compact fits: what they promise of materials that are known, and of data that are not good."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from hshjax.bases import HalfVectorBasis, LogWarp
 from hshjax.brdfs import GGX, Lambert, LogLinearBRDF
-from hshjax.fitting import fit_compact, fit_compact_all, half_vector_samples
+from hshjax.fitting import Outcome, fit_compact, fit_compact_all, half_vector_samples
 from hshjax.fitting._blocks import evaluated
 from hshjax.fitting._compact import ALPHAS
 from hshjax.fitting._furnace import furnace_rule
+from hshjax.fitting._least_distance import InfeasibleError
 from hshjax.geometry import direction
 from hshjax.io import save_model
 from hshjax.metrics import albedo
@@ -192,6 +195,84 @@ def test_poor_data_do_not_explode(case):
 def test_refusals(samples, settings, message, unchecked):
     with pytest.raises(ValueError, match=message):
         fit_compact(samples(), 30, **settings)
+
+
+def batch():
+    """Two materials that can be fitted, and between and beside them some that cannot: a number, and why."""
+    good = [scattered(), scattered(value=2 * scattered().value)]
+    spoilt = scattered().value.at[7, 1].set(jnp.nan)
+    bad = {
+        0: (scattered(value=jnp.zeros((600, 3))), "is black"),
+        2: (scattered(value=spoilt), "1 of 600 samples .* hold NaN .*the first is sample 7"),
+        3: (scattered(n=500), "differs from material 1 in its directions"),
+        5: (scattered(value=scattered().value[:, :2]), "differs from material 1 .* channels"),
+    }
+    rest = iter(good)
+    return [bad[k][0] if k in bad else next(rest) for k in range(6)], good, {k: why for k, (_, why) in bad.items()}
+
+
+def test_one_bad_material_is_named(unchecked):
+    samples, _, bad = batch()
+    for k, why in bad.items():
+        why = why.replace("material 1", "material 0")
+        with pytest.raises(ValueError, match=rf"^material 1 (cannot be fitted: )?{why}"):
+            fit_compact_all([samples[1], samples[k]], 25)
+    with pytest.raises(ValueError, match=r"material 0 is black.*; material 2 .*; material 3 .*; and 1 more$"):
+        fit_compact_all(samples, 25)
+
+
+def test_the_others_are_kept(unchecked):
+    """The same as by themselves, in their places; what is wrong stands where nothing could be fitted."""
+    samples, good, bad = batch()
+    found = fit_compact_all(samples, 25, throw=False)
+    assert len(found) == 6
+    for k, alone in zip((1, 4), fit_compact_all(good, 25), strict=True):
+        assert found[k].result == Outcome.converged
+        assert found[k].message == "converged"
+        np.testing.assert_array_equal(found[k].model.coefficients, alone.model.coefficients)
+        assert found[k].log_error == alone.log_error
+    for k, why in bad.items():
+        assert found[k].result == Outcome.unusable
+        assert re.match(rf"material {k} (cannot be fitted: )?{why}", found[k].message)
+        assert np.isnan(found[k].log_error)
+        assert found[k].samples == 0
+        assert found[k].model.count == 25
+        assert np.all(np.isnan(found[k].model(*directions_of(good[0]))))
+    with pytest.raises(ValueError, match=r"material 0 is black.*; material 1 is black"):
+        fit_compact_all([samples[0], samples[0]], 25, throw=False)
+
+
+def test_an_albedo_that_cannot_be_held_is_no_loss(monkeypatch):
+    """Of the others; the fit without the constraint is there, and says so."""
+
+    def infeasible(*_):
+        raise InfeasibleError("no point satisfies all inequalities")
+
+    monkeypatch.setattr("hshjax.fitting._compact_equations.conserved", infeasible)
+    tame = Lambert([0.3, 0.2]) + 0.1 * GGX(1.0, 0.2)
+    both = [half_vector_samples(brdf, shape=SHAPE) for brdf in (glossy(), tame)]
+    with pytest.raises(ValueError, match=r"material 0 has an albedo of 1\.\d+, and no coefficients .* energy=False"):
+        fit_compact_all(both, 25)
+    found, other = fit_compact_all(both, 25, throw=False)
+    assert found.result == Outcome.uncertified
+    assert "material 0 has an albedo" in found.message
+    free = fit_compact(both[0], 25, energy=False)
+    np.testing.assert_array_equal(found.model.coefficients, free.model.coefficients)
+    assert found.albedo == free.albedo > 1
+    assert other.result == Outcome.converged
+
+
+def test_a_brdf_that_fails_is_named():
+    def fails(wi, wo):
+        raise ArithmeticError("lost")
+
+    with pytest.raises(ArithmeticError, match="lost") as caught:
+        fit_compact_all([PLASTIC, fails], 25)
+    assert caught.value.__notes__ == ["with material 1"]
+
+
+def directions_of(samples):
+    return samples.wi[:5], samples.wo[:5]
 
 
 def test_what_is_no_material(unchecked, tmp_path):

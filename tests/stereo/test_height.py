@@ -10,12 +10,14 @@ import pytest
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import spsolve
 
+from hshjax.brdfs import Lambert
 from hshjax.camera import OrthographicCamera, PerspectiveCamera
 from hshjax.io import read_diligent
-from hshjax.stereo import depth_from_normals, height_from_normals
+from hshjax.stereo import depth_from_normals, height_from_normals, lambertian
 from hshjax.stereo._poisson import Edges, differences, divergence, solve
 from hshjax.surface import height_field, sphere
 from tests.helpers import DTYPE, X64, assert_close
+from tests.stereo.near import ball as near_ball, rotation
 
 
 def grid(rows, columns, spacing):
@@ -292,9 +294,51 @@ def test_what_is_refused(field, arguments, message):
         height_from_normals(field, **arguments)
 
 
+TILTED = OrthographicCamera((0.5, -0.7, 0.6), (0.2, 0.9, 0.1), height=3.0, resolution=(60, 45))
+"""Right, up and towards are no axes of the world."""
+
+
+def test_a_tilted_camera():
+    """Of a result, whose normals are in the world: heights are those along the view, whatever the world is."""
+    x, y = grid(60, 45, 0.05)
+    z = 0.3 * np.sin(2 * x) * np.cos(3 * y) + 0.1 * x
+    slopes = 0.6 * np.cos(2 * x) * np.cos(3 * y) + 0.1, -0.9 * np.sin(2 * x) * np.sin(3 * y)
+    towards = np.asarray([0.5, -0.7, 0.6])
+    right = np.cross([0.2, 0.9, 0.1], towards)
+    axes = np.stack([vector / np.linalg.norm(vector) for vector in (right, np.cross(towards, right), towards)])
+    world = normals(*slopes) @ axes
+    mask = disc(60, 45)
+    found = height_from_normals(world, mask, camera=TILTED, spacing=0.05)
+    tolerance = 1e-3 if X64 else 1.1e-3  # second order in the spacing: 0.05² / 12 of third derivatives up to 6
+    np.testing.assert_allclose(found, centred(np.where(mask, z, 0), mask), atol=tolerance)
+    # Heights of the same vectors, taken for those of a camera on +z, are others.
+    other = height_from_normals(world, mask, spacing=0.05)
+    assert np.nanmax(np.abs(other - found)) > 0.3 or np.isnan(other[mask]).any()
+
+
+def test_a_result_of_a_tilted_camera():
+    """A matte ball under lights far away, as it is solved: heights are those of the ball above a plane across the
+    view."""
+    turn = rotation(3)
+    given = near_ball(None, brdf=Lambert(0.6), world=turn, size=40)
+    found = lambertian(given, "robust").normals  # without the shadows, exact but for float32
+    step = 2.05 / 40  # the image is that high
+    heights = height_from_normals(given.image(found), given.mask, camera=given.camera, spacing=step)
+    x, y = grid(40, 40, step)
+    z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    inner = np.isfinite(heights) & (z > 0.2)
+    assert inner.sum() > 1000
+    error = (heights - heights[inner].mean() - z + z[inner].mean())[inner]
+    assert np.abs(error).max() < 2e-3  # chords of a sphere are exact; normals err by 1e-4
+    untold = height_from_normals(given.image(found), given.mask, spacing=step)
+    assert not np.allclose(untold[inner], heights[inner], atol=0.1)
+
+
 def test_what_is_refused_of_a_pinhole():
     with pytest.raises(ValueError, match=r"the resolution of the camera, \(60, 80\), got \(4, 5\)"):
         depth_from_normals(UP, perspective())
+    with pytest.raises(ValueError, match="the camera must be far away"):
+        height_from_normals(UP, camera=perspective(4, 5))
     with pytest.raises(ValueError, match="distance must be a finite number above 0, got -1"):
         depth_from_normals(UP, perspective(4, 5), distance=-1.0)
 

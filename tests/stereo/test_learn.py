@@ -8,7 +8,8 @@ import hshjax
 from hshjax.stereo._columns import column_brdfs, first_guess
 from hshjax.stereo._learn import Pixels, coefficients_of, learn, shared_equations
 from hshjax.stereo._refine import Estimate, predicted, refine
-from hshjax.stereo._shading import ShadingTable, shading_table
+from hshjax.stereo._shading import AbstractShadingTable, shading_table
+from hshjax.stereo._system import System
 from tests.stereo.cases import directions
 
 ANY = np.zeros(12, bool)
@@ -54,6 +55,24 @@ def test_the_schur_complement_eliminates_what_belongs_to_pixels():
     np.testing.assert_allclose(right, expected, atol=2e-3 * np.max(np.abs(shared.T @ residual)))
 
 
+def test_equations_that_rounding_made_indefinite_are_solved():
+    """As those of the next matrix that rounding could not have made: far from a bound, by numpy."""
+    rng = np.random.default_rng(2)
+    axes = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    values = np.array([100.0, 20, 3, 1, 0.5, -0.06])  # the damping of coefficients is 3e-4 of the mean: 0.006
+    right = axes @ np.array([10.0, -4, 1, 0.2, 0.1, 1e-3])
+    system = System(jnp.asarray(axes * values @ axes.T), jnp.asarray(right), 5, 1)
+    damped, right = system.matrix + np.diag(system._damping), system.right
+    assert np.linalg.eigvalsh(damped)[0] < -0.04
+    found = system.solve(True)
+    eigenvalues, vectors = np.linalg.eigh(damped)
+    expected = vectors @ (vectors.T @ right / np.maximum(eigenvalues, 1e-5 * eigenvalues[-1]))
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-6)
+    # Bounds hold there, too.
+    system.least[:] = -0.01
+    assert np.all(system.solve(True) >= -0.01 - 1e-8)
+
+
 def photographed(stray=0.0, count=400, lights=24):
     """Pixels of a glossy surface, normals up to 60 degrees, whose material is a mixture of two."""
     rng = np.random.default_rng(1)
@@ -72,7 +91,7 @@ def photographed(stray=0.0, count=400, lights=24):
     return table, pixels, pq, vectors
 
 
-def misfit(table: ShadingTable, pixels: Pixels, pq, coefficients):
+def misfit(table: AbstractShadingTable, pixels: Pixels, pq, coefficients):
     estimate = refine(table.mixed(coefficients), pixels.values, jnp.ones_like(pixels.values), pq, 10)
     return float(jnp.mean(jnp.abs(pixels.values - predicted(table.mixed(coefficients), estimate))))
 

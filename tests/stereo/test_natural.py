@@ -276,6 +276,11 @@ def test_a_camera_far_away_may_be_turned(unknown):
     # Steps are the same up to rounding of the lights.
     tolerance = 1e-6 if X64 else 1e-2
     np.testing.assert_allclose(turned.normals, plain.normals @ AXES, atol=tolerance)
+    assert turned.camera is camera
+    assert plain.camera is None
+    assert turned.heights.shape == given.mask.shape
+    assert np.array_equal(np.isfinite(turned.heights), given.mask)
+    np.testing.assert_allclose(turned.heights, plain.heights, atol=16 * tolerance)  # sums of slopes over 16 pixels
     back = jax.vmap(lambda one: one.rotated(turn.T))(turned.lights)
     np.testing.assert_allclose(back.coefficients, plain.lights.coefficients, atol=3 * tolerance)
     # and what is returned is Eq. 1 in the world
@@ -288,7 +293,9 @@ def test_a_camera_far_away_may_be_turned(unknown):
 def test_starts_that_diverge_do_not_agree():
     one, lights = np.ones((1, 1)), jax.vmap(HarmonicLight)(jnp.ones((1, 9, 1)))
     losses = np.array([np.nan, 2.0, 2.02, 2.1])
-    result = NaturalShape(np.array([[0.0, 0, 1]]), np.ones(1), lights, one[None], 0.1, losses, np.zeros(4), one > 0, ())
+    result = NaturalShape(
+        np.array([[0.0, 0, 1]]), one, lights, one[None], 0.1, losses, np.zeros(4), one > 0, (), None
+    )  # fmt: skip
     assert result.agreeing() == 2
 
 

@@ -9,7 +9,6 @@ import hshjax
 from hshjax.stereo._chart import from_chart
 from hshjax.stereo._learn import squares
 from hshjax.stereo._near_shading import ANGLES, angle_shares, near_tables
-from hshjax.stereo._restart import best_node
 from hshjax.stereo._result import angular_errors
 from hshjax.stereo._shading import shading_table
 from tests.helpers import DTYPE
@@ -99,6 +98,6 @@ def test_a_second_start_is_that_of_lights_far_away():
     far, same = shading_table(BRDFS, towards[0]), jnp.broadcast_to(towards[:1], towards.shape)
     near = near_tables(BRDFS, angle_shares(same)).of(same)
     values = jnp.sum(jnp.asarray([0.2, 0.7], DTYPE)[None, :, None] * far.at(pq), axis=1)
-    one, two = (best_node(table, values, jnp.ones_like(values)) for table in (far, near))
+    one, two = (table.best_node(values, jnp.ones_like(values)) for table in (far, near))
     assert np.mean(np.all(np.isclose(one, two, atol=1e-6), axis=1)) > 0.9
     assert np.median(angular_errors(from_chart(two), from_chart(pq))) < 6  # half of what nodes are apart

@@ -7,7 +7,7 @@ import hshjax
 from hshjax.stereo._chart import from_chart
 from hshjax.stereo._misfit import CUT, misfit
 from hshjax.stereo._refine import weigh
-from hshjax.stereo._restart import best_node, refine_from_both
+from hshjax.stereo._restart import refine_from_both
 from hshjax.stereo._result import angular_errors
 from hshjax.stereo._shading import shading_table
 from tests.stereo.cases import directions
@@ -29,7 +29,7 @@ def test_the_best_node_is_the_best_of_all_that_are_looked_at():
     """Every node tried one by one, by the solver of weights."""
     table, _, values = pixels(12)
     trust = jnp.ones_like(values)
-    found = best_node(table, values, trust)
+    found = table.best_node(values, trust)
     least = weigh(table.at(found), values, trust)[1]
     axis = (np.arange(SIZE)[SIZE // 2 % 6 :: 6] - SIZE // 2) / (SIZE // 2)
     for p in axis:
@@ -42,8 +42,8 @@ def test_the_best_node_is_the_best_of_all_that_are_looked_at():
 def test_the_number_of_pixels_is_free():
     table, _, values = pixels(700)
     trust = jnp.ones_like(values)
-    np.testing.assert_array_equal(best_node(table, values, trust)[:3], best_node(table, values[:3], trust[:3]))
-    assert best_node(table, values[:0], trust[:0]).shape == (0, 2)
+    np.testing.assert_array_equal(table.best_node(values, trust)[:3], table.best_node(values[:3], trust[:3]))
+    assert table.best_node(values[:0], trust[:0]).shape == (0, 2)
 
 
 def test_a_start_far_off_does_not_matter():
