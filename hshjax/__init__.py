@@ -60,6 +60,7 @@ from hshjax.camera import OrthographicCamera as OrthographicCamera, PerspectiveC
 from hshjax.fitting import (
     NORMS as NORMS,
     AbstractTerm as AbstractTerm,
+    BlockError as BlockError,
     Cauchy as Cauchy,
     Certificate as Certificate,
     CompactFit as CompactFit,
@@ -84,6 +85,7 @@ from hshjax.fitting import (
     Outcome as Outcome,
     Prior as Prior,
     Reciprocity as Reciprocity,
+    SampleBlocks as SampleBlocks,
     SampleMisfit as SampleMisfit,
     Smoothness as Smoothness,
     Sparsity as Sparsity,
@@ -102,6 +104,7 @@ from hshjax.fitting import (
     positive_start as positive_start,
     project as project,
     project_all as project_all,
+    project_blocks as project_blocks,
     relative_error as relative_error,
     sparsity_path as sparsity_path,
     tabulate as tabulate,
