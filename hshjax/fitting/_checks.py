@@ -23,7 +23,9 @@ class Counts(NamedTuple):
 
     def plus(self, other: "Counts") -> "Counts":
         """Of both together."""
-        return Counts(*(a + b for a, b in zip(self, other, strict=True)))
+        return Counts(
+            self.size + other.size, self.used + other.used, self.inside + other.inside, self.total + other.total
+        )
 
 
 def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) -> Counts:

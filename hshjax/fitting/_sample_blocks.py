@@ -1,11 +1,12 @@
 """Samples in blocks: from arrays of which a slice at a time is read, checked, cut to one size."""
 
 from collections.abc import Iterable, Iterator, Sequence, Sized
-from typing import Any
+from typing import Any, overload
 
 import jax.numpy as jnp
 import numpy as np
 
+from hshjax._typing import Array
 from hshjax.geometry import common_dtype
 from hshjax.samples import Samples
 
@@ -21,7 +22,7 @@ class BlockError(ValueError):
         return f"block {self.block}: {self.message}"
 
 
-class SampleBlocks(Sequence):
+class SampleBlocks(Sequence[Samples]):
     """Samples in arrays that need not fit in memory, as a sequence of blocks, each read when it is asked for.
 
     - `wi`, `wo`, `value`, `weight`: as of `Samples.scattered`, arrays of anything with `shape` that gives an array for
@@ -47,6 +48,12 @@ class SampleBlocks(Sequence):
 
     def __len__(self) -> int:
         return -(-self._size // self._rows)
+
+    @overload
+    def __getitem__(self, number: int) -> Samples: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> list[Samples]: ...
 
     def __getitem__(self, number):
         if isinstance(number, slice):
@@ -110,10 +117,19 @@ def regrouped(blocks: Iterable[Samples], rows: int) -> Iterator[Samples]:
 def _joined(blocks: list[Samples]) -> Samples:
     if len(blocks) == 1:
         return blocks[0]
-    parts = ([np.asarray(getattr(one, name)) for one in blocks] for name in ("wi", "wo", "value", "weight"))
-    return Samples(*(jnp.asarray(np.concatenate(part)) for part in parts), None, blocks[0].isotropic)
+    wi, wo, value, weight = map(_stacked, zip(*map(_parts, blocks), strict=True))
+    return Samples(wi, wo, value, weight, None, blocks[0].isotropic)
 
 
 def _rows(samples: Samples, rows: slice) -> Samples:
-    parts = (samples.wi, samples.wo, samples.value, samples.weight)
-    return Samples(*(jnp.asarray(np.asarray(part)[rows]) for part in parts), None, samples.isotropic)
+    wi, wo, value, weight = (jnp.asarray(np.asarray(part)[rows]) for part in _parts(samples))
+    return Samples(wi, wo, value, weight, None, samples.isotropic)
+
+
+def _parts(samples: Samples) -> tuple[Array, Array, Array, Array]:
+    return samples.wi, samples.wo, samples.value, samples.weight
+
+
+def _stacked(parts: tuple[Array, ...]) -> Array:
+    """On the host: blocks differ in size, and jax would compile a program for each."""
+    return jnp.asarray(np.concatenate([np.asarray(part) for part in parts]))
