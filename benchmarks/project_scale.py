@@ -1,7 +1,8 @@
 """Peak memory and time of `project` on many scattered samples: python -m benchmarks.project_scale --samples 10000000
 
-165 unknowns (`IsotropicBasis(HSH(8))`), three channels, float32, norm A, so that the streamed QR does the work. Prints
-one line of JSON. The peak is that of the whole process: samples, libraries and compilation included.
+165 unknowns (`IsotropicBasis(HSH(8))`), three channels, float32, norm A, so that the streamed QR does the work. With
+`--blocks`, the samples lie in files, of which `project_blocks` maps a block at a time. Prints one line of JSON. The
+peak is that of the whole process: samples, libraries, compilation and the mapped part of files included.
 """
 
 import argparse
@@ -9,6 +10,7 @@ import json
 import re
 import resource
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -17,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax.bases import HSH, IsotropicBasis
-from hshjax.fitting import project
+from hshjax.fitting import SampleBlocks, project, project_blocks
 from hshjax.samples import Samples
 
 CHANNELS = 3
@@ -44,6 +46,19 @@ def random_samples(n: int, seed: int = 0) -> Samples:
     return Samples.scattered(wi, wo, jnp.asarray(rng.random((n, CHANNELS), np.float32)))
 
 
+def mapped_samples(n: int, folder: Path) -> SampleBlocks:
+    """The same kind in files, written a part at a time."""
+    shapes = {"wi": (n, 3), "wo": (n, 3), "value": (n, CHANNELS)}
+    files = {name: folder / f"{name}.npy" for name in shapes}
+    mapped = {name: np.lib.format.open_memmap(files[name], "w+", np.float32, shape) for name, shape in shapes.items()}
+    for start in range(0, n, PART):
+        part = random_samples(min(PART, n - start), seed=start)
+        for name, array in mapped.items():
+            array[start : start + PART] = getattr(part, name)
+    mapped.clear()
+    return SampleBlocks(**{name: np.load(file, mmap_mode="r") for name, file in files.items()})
+
+
 def peak_bytes() -> int:
     """Largest resident memory of this process so far."""
     if sys.platform == "linux":
@@ -57,14 +72,21 @@ def peak_bytes() -> int:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=10_000_000)
-    n = parser.parse_args().samples
-    basis = IsotropicBasis(HSH(8))
-    samples = jax.block_until_ready(random_samples(n))
-    before = peak_bytes()
-    start, start_cpu = time.perf_counter(), time.process_time()
-    fit = jax.block_until_ready(project(basis, samples, norm="A", reciprocity=False))
+    parser.add_argument("--blocks", action="store_true", help="from files, block by block")
+    arguments = parser.parse_args()
+    n, basis = arguments.samples, IsotropicBasis(HSH(8))
+    with tempfile.TemporaryDirectory() as folder:
+        samples = mapped_samples(n, Path(folder)) if arguments.blocks else jax.block_until_ready(random_samples(n))
+        before = peak_bytes()
+        start, start_cpu = time.perf_counter(), time.process_time()
+        if isinstance(samples, Samples):
+            fit = project(basis, samples, norm="A", reciprocity=False)
+        else:
+            fit = project_blocks(basis, samples, norm="A")
+        fit = jax.block_until_ready(fit)
     figures = {
         "samples": n,
+        "blocks": arguments.blocks,
         "unknowns": fit.unknowns,
         "channels": CHANNELS,
         "dtype": str(fit.model.coefficients.dtype),

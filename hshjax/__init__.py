@@ -61,6 +61,7 @@ from hshjax.camera import OrthographicCamera as OrthographicCamera, PerspectiveC
 from hshjax.fitting import (
     NORMS as NORMS,
     AbstractTerm as AbstractTerm,
+    BlockError as BlockError,
     Cauchy as Cauchy,
     Certificate as Certificate,
     CompactFit as CompactFit,
@@ -85,6 +86,7 @@ from hshjax.fitting import (
     Outcome as Outcome,
     Prior as Prior,
     Reciprocity as Reciprocity,
+    SampleBlocks as SampleBlocks,
     SampleMisfit as SampleMisfit,
     Smoothness as Smoothness,
     Sparsity as Sparsity,
@@ -104,6 +106,7 @@ from hshjax.fitting import (
     project as project,
     project_all as project_all,
     project_by_moments as project_by_moments,
+    project_blocks as project_blocks,
     relative_error as relative_error,
     sparsity_path as sparsity_path,
     tabulate as tabulate,

@@ -1,38 +1,75 @@
 """What `project` refuses, and how it says so."""
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array
+from hshjax.bases import AbstractPairBasis
 from hshjax.fitting._norms import Norm
 from hshjax.samples import Samples
 
 
-def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) -> tuple[int, float]:
-    """How many samples have a weight, and the sum of the weights.
+class Counts(NamedTuple):
+    """Of samples: how many there are, have a weight, count in the norm; and the sum of the weights."""
+
+    size: int
+    used: int
+    inside: int
+    total: float
+
+    def plus(self, other: "Counts") -> "Counts":
+        """Of both together."""
+        return Counts(
+            self.size + other.size, self.used + other.used, self.inside + other.inside, self.total + other.total
+        )
+
+
+def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) -> Counts:
+    """How many samples there are of each kind.
 
     **Raises:** ValueError, naming a count and a remedy, for samples that no fit can use.
     """
-    bad_weights, usable, inside, total, faults = jax.device_get(_survey(samples, norm))
+    counts = check_values(samples, norm)
+    check_enough(counts, norm, unknowns, ridged=ridged)
+    return counts
+
+
+def check_values(samples: Samples, norm: Norm) -> Counts:
+    """The same without a word about how many there are."""
+    bad_weights, used, inside, total, faults = jax.device_get(_survey(samples, norm))
     if bad_weights:
         raise ValueError(f"{bad_weights} of {samples.size} weights are negative or not finite")
-    if usable == 0:
-        raise ValueError(f"no sample to fit: all of the {samples.size} samples have weight 0")
     for what, (count, first) in zip(FAULTS, faults, strict=True):
         if count:
             raise ValueError(
-                f"{count} of {usable} samples with a positive weight {what} (the first is sample {first}); "
+                f"{count} of {used} samples with a positive weight {what} (the first is sample {first}); "
                 "mask them with weight 0"
             )
-    if inside < unknowns and not ridged:
+    return Counts(samples.size, int(used), int(inside), float(total))
+
+
+def check_isotropy(basis: AbstractPairBasis, samples: Samples) -> None:
+    """ValueError for isotropic samples and a basis that is not."""
+    if samples.isotropic and not basis.isotropic:
         raise ValueError(
-            f"{inside} samples count in norm {norm.name}, but there are {unknowns} unknowns: "
+            f"isotropic samples say nothing of how {basis} depends on φ_i + φ_o: fit an IsotropicBasis; "
+            "`hshjax.bases.convert` embeds it"
+        )
+
+
+def check_enough(counts: Counts, norm: Norm, unknowns: int, *, ridged: bool) -> None:
+    """ValueError where the samples are too few."""
+    if counts.used == 0:
+        raise ValueError(f"no sample to fit: all of the {counts.size} samples have weight 0")
+    if counts.inside < unknowns and not ridged:
+        raise ValueError(
+            f"{counts.inside} samples count in norm {norm.name}, but there are {unknowns} unknowns: "
             "lower the order, add samples, or give a ridge > 0"
         )
-    return int(usable), float(total)
 
 
 FAULTS = (

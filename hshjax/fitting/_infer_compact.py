@@ -105,7 +105,7 @@ def infer_compact(
     """
     if noise is not None and not noise > 0:
         raise ValueError(f"noise must be > 0, got {noise}")
-    usable, _ = check_samples(samples, named_norm("C"), 1, ridged=True)
+    usable = check_samples(samples, named_norm("C"), 1, ridged=True).used
     if usable < LEAST:
         raise ValueError(f"{usable} samples with a positive weight are too few for error bars, {LEAST} are needed")
     if criterion not in get_args(Criterion):

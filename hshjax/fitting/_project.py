@@ -22,7 +22,7 @@ from hshjax.bases import AbstractPairBasis, AbstractProductBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS, fold
-from hshjax.fitting._checks import check_determined, check_samples
+from hshjax.fitting._checks import check_determined, check_isotropy, check_samples
 from hshjax.fitting._constraints import check_constraints
 from hshjax.fitting._lapack import suited_threads
 from hshjax.fitting._misfit import misfit, ratio
@@ -96,14 +96,10 @@ def project(
     unknowns = basis.count
     visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
     samples = _in_one_dtype(samples)
-    if samples.isotropic and not basis.isotropic:
-        raise ValueError(
-            f"isotropic samples say nothing of how {basis} depends on φ_i + φ_o: fit an IsotropicBasis; "
-            "`hshjax.bases.convert` embeds it"
-        )
+    check_isotropy(basis, samples)
     used, total = samples.size, WHOLE
     if visible:
-        used, total = check_samples(samples, chosen, unknowns, ridged=gamma is not None)
+        _, used, _, total = check_samples(samples, chosen, unknowns, ridged=gamma is not None)
 
     inner = not covariance and chosen.orthonormal and _exact(basis, samples, total)
     if inner:
@@ -124,8 +120,8 @@ def project(
             check_determined(condition, unknowns, ridged=gamma is not None)
         posterior = noise = None
         if covariance:
-            weight = samples.weight * chosen.fit_weight(samples.wi, samples.wo)
-            posterior, noise = _posterior(factor, root, coefficients, weight)
+            counted = jnp.sum(samples.weight * chosen.fit_weight(samples.wi, samples.wo) > 0)
+            posterior, noise = posterior_of(factor, root, coefficients, counted)
 
     certificate, result = None, Outcome.converged
     if constraints:
@@ -198,8 +194,8 @@ def _least_squares(
     basis: AbstractPairBasis, norm: Norm, samples: Samples, gamma: Array | None
 ) -> tuple[Array, Array, Array, Array]:
     """Coefficients, condition estimate, R of the data, and the triangular root of BᵀWB + Γ."""
-    factor = _factorize(basis, norm, samples)
-    coefficients, condition, root = _solve(factor, gamma, basis.count)
+    factor = factorize(basis, norm, samples)
+    coefficients, condition, root = solve_factor(factor, gamma, basis.count)
     return coefficients, condition, factor, root
 
 
@@ -245,7 +241,7 @@ def _normal_residual(
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "columns columns"]:
+def factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "columns columns"]:
     """R of [sqrt(w) B, sqrt(w) f]: everything that least squares needs to know of the samples."""
     columns = basis.count + samples.channels
 
@@ -258,7 +254,7 @@ def _factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[
 
 
 @partial(jax.jit, static_argnums=2)
-def _solve(factor: Array, gamma: Array | None, unknowns: int) -> tuple[Array, Array, Array]:
+def solve_factor(factor: Array, gamma: Array | None, unknowns: int) -> tuple[Array, Array, Array]:
     """Coefficients, condition estimate, and the triangular root of BᵀWB + Γ."""
     if gamma is not None:
         rows = jnp.pad(jnp.diag(jnp.sqrt(gamma.astype(factor.dtype))), ((0, 0), (0, factor.shape[1] - unknowns)))
@@ -291,10 +287,10 @@ def _condition(root: Float[Array, "n n"]) -> Float[Array, ""]:
 
 
 @jax.jit
-def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -> tuple[Array, Array]:
+def posterior_of(factor: Array, root: Array, coefficients: Array, counted: Array) -> tuple[Array, Array]:
     """(BᵀWB + Γ)^-1, and the noise variance from the residual of the data and its degrees of freedom.
 
-    `weight` is that of the fit: what a norm does not see is no degree of freedom.
+    `counted` samples have a weight in the fit: what a norm does not see is no degree of freedom.
     """
     unknowns, channels = coefficients.shape
     inverse = solve_triangular(root, jnp.eye(unknowns, dtype=root.dtype))
@@ -302,7 +298,7 @@ def _posterior(factor: Array, root: Array, coefficients: Array, weight: Array) -
     covariance = matmul(inverse, inverse.T)
     # Of the unknowns, tr((BᵀWB + Γ)^-1 BᵀWB) are determined by the data; without a ridge, all.
     determined = jnp.sum(matmul(factor[:, :unknowns], inverse) ** 2)
-    freedom = jnp.sum((weight > 0).astype(root.dtype)) - determined
+    freedom = counted.astype(root.dtype) - determined
     # With as many unknowns as samples the residual is rounding, and says nothing of the noise.
     enough = freedom > 0.5
     return covariance, jnp.where(enough, jnp.sum(misfit**2, axis=0) / jnp.where(enough, freedom, 1), jnp.nan)

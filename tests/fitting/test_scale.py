@@ -14,7 +14,7 @@ from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import LinearBRDF
 from hshjax.fitting import NORMS
 from hshjax.fitting._misfit import misfit
-from hshjax.fitting._project import _factorize, _inner_products
+from hshjax.fitting._project import _inner_products, factorize
 from hshjax.samples import Samples
 
 ROOT = Path(__file__).parents[2]
@@ -37,7 +37,7 @@ def temporaries(n):
     """Bytes that the three passes over n samples need beside them."""
     samples, model = shapes(n), LinearBRDF(BASIS, jnp.zeros((165, 3), jnp.float32))
     programs = {
-        "QR": _factorize.lower(BASIS, NORMS["A"], samples),
+        "QR": factorize.lower(BASIS, NORMS["A"], samples),
         "inner products": _inner_products.lower(BASIS, NORMS["D"], samples),
         "residual": jax.jit(lambda model, samples: misfit(model, samples, "A")).lower(model, samples),
     }

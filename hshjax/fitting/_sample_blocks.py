@@ -1,0 +1,135 @@
+"""Samples in blocks: from arrays of which a slice at a time is read, checked, cut to one size."""
+
+from collections.abc import Iterable, Iterator, Sequence, Sized
+from typing import Any, overload
+
+import jax.numpy as jnp
+import numpy as np
+
+from hshjax._typing import Array
+from hshjax.geometry import common_dtype
+from hshjax.samples import Samples
+
+
+class BlockError(ValueError):
+    """A block of samples that cannot be used, or that is missing: `block` is its number from 0."""
+
+    def __init__(self, block: int, message: str):
+        super().__init__(block, message)
+        self.block, self.message = block, message
+
+    def __str__(self) -> str:
+        return f"block {self.block}: {self.message}"
+
+
+class SampleBlocks(Sequence[Samples]):
+    """Samples in arrays that need not fit in memory, as a sequence of blocks, each read when it is asked for.
+
+    - `wi`, `wo`, `value`, `weight`: as of `Samples.scattered`, arrays of anything with `shape` that gives an array for
+      `array[start:stop]`: of numpy, memory-mapped, datasets of h5py, arrays of zarr.
+    - `rows`: of a block; the last one may have fewer. - `isotropic`: see `Samples`.
+
+    **Raises:** ValueError where shapes disagree.
+    """
+
+    def __init__(self, wi: Any, wo: Any, value: Any, weight: Any = None, *, rows: int = 2**18, isotropic: bool = False):
+        n = wi.shape[0]
+        self._parts = {"wi": wi, "wo": wo, "value": value} | ({} if weight is None else {"weight": weight})
+        expected = {"wi": (n, 3), "wo": (n, 3), "value": (n, *value.shape[1:2]), "weight": (n,)}
+        for name, part in self._parts.items():
+            if tuple(part.shape) != expected[name] or (name == "value" and len(part.shape) != 2):
+                raise ValueError(
+                    f"blocks need wi (n, 3), wo (n, 3), value (n, channels), weight (n,); got n = {n} from wi and "
+                    f"{name} of shape {tuple(part.shape)}"
+                )
+        if rows < 1:
+            raise ValueError(f"rows of a block must be at least 1, got {rows}")
+        self._size, self._rows, self._isotropic = n, rows, isotropic
+
+    def __len__(self) -> int:
+        return -(-self._size // self._rows)
+
+    @overload
+    def __getitem__(self, number: int) -> Samples: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> list[Samples]: ...
+
+    def __getitem__(self, number):
+        if isinstance(number, slice):
+            return [self[k] for k in range(*number.indices(len(self)))]
+        if not -len(self) <= number < len(self):
+            raise IndexError(f"block {number} of {len(self)}")
+        start = number % len(self) * self._rows
+        parts = {name: jnp.asarray(np.asarray(part[start : start + self._rows])) for name, part in self._parts.items()}
+        return Samples.scattered(**parts, isotropic=self._isotropic)
+
+
+def read_blocks(blocks: Iterable[Samples]) -> Iterator[tuple[int, Samples]]:
+    """The blocks with their numbers, in one dtype each, all of the same kind.
+
+    **Raises:** BlockError for one that is no `Samples` or differs from the first, and where not as many come as the
+    length of `blocks` says. What reading raises gets a note that names the block.
+    """
+    first, number = None, 0
+    source = iter(blocks)
+    while True:
+        try:
+            samples = next(source)
+        except StopIteration:
+            break
+        except Exception as error:
+            error.add_note(f"while block {number} of samples was read")
+            raise
+        if not isinstance(samples, Samples):
+            raise BlockError(number, f"expected Samples, got {type(samples).__name__}")
+        wi, wo, value, weight = common_dtype(samples.wi, samples.wo, samples.value, samples.weight)
+        kind = {"channels": value.shape[1], "dtype": value.dtype.name, "isotropic": samples.isotropic}
+        first = kind if first is None else first
+        for name, expected in first.items():
+            if kind[name] != expected:
+                raise BlockError(number, f"expected {name} {expected} as of block 0, got {kind[name]}")
+        yield number, Samples(wi, wo, value, weight, None, samples.isotropic)
+        number += 1
+    if isinstance(blocks, Sized) and len(blocks) != number:
+        raise BlockError(number, f"expected {len(blocks)} blocks, as many as their length says, got {number}")
+
+
+def regrouped(blocks: Iterable[Samples], rows: int) -> Iterator[Samples]:
+    """The same samples in blocks of exactly `rows`; the last one is filled up by samples of weight 0."""
+    waiting: list[Samples] = []
+    count = 0
+    for samples in blocks:
+        waiting.append(samples)
+        count += samples.size
+        while count >= rows:
+            joined = _joined(waiting)
+            yield _rows(joined, slice(0, rows))
+            waiting, count = [_rows(joined, slice(rows, None))], count - rows
+    if count:
+        rest = _joined(waiting)
+        lacking = rows - count
+        up = jnp.tile(jnp.asarray([0, 0, 1], rest.wi.dtype), (lacking, 1))
+        black = jnp.zeros((lacking, rest.channels), rest.value.dtype)
+        yield _joined([rest, Samples(up, up, black, jnp.zeros(lacking, rest.weight.dtype))])
+
+
+def _joined(blocks: list[Samples]) -> Samples:
+    if len(blocks) == 1:
+        return blocks[0]
+    wi, wo, value, weight = map(_stacked, zip(*map(_parts, blocks), strict=True))
+    return Samples(wi, wo, value, weight, None, blocks[0].isotropic)
+
+
+def _rows(samples: Samples, rows: slice) -> Samples:
+    wi, wo, value, weight = (jnp.asarray(np.asarray(part)[rows]) for part in _parts(samples))
+    return Samples(wi, wo, value, weight, None, samples.isotropic)
+
+
+def _parts(samples: Samples) -> tuple[Array, Array, Array, Array]:
+    return samples.wi, samples.wo, samples.value, samples.weight
+
+
+def _stacked(parts: tuple[Array, ...]) -> Array:
+    """On the host: blocks differ in size, and jax would compile a program for each."""
+    return jnp.asarray(np.concatenate([np.asarray(part) for part in parts]))
