@@ -38,8 +38,8 @@ from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._outcome import Outcome as Outcome
 from hshjax.fitting._positive_start import positive_start as positive_start
 from hshjax.fitting._project import project as project
-from hshjax.fitting._project_by_moments import project_by_moments as project_by_moments
 from hshjax.fitting._project_blocks import project_blocks as project_blocks
+from hshjax.fitting._project_by_moments import project_by_moments as project_by_moments
 from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit, MultiStart as MultiStart
 from hshjax.fitting._robust import (
     AbstractRobustLoss as AbstractRobustLoss,
