@@ -42,6 +42,9 @@ STEPS = (90, 90, 180)
 MAX_NODES = 2**23
 """Of a file, six times those of the database: what a header asks for must not exhaust a machine."""
 
+LARGEST = 1e30
+"""Of a value: what is beyond is no BRDF, and may have no place in float32."""
+
 UNMEASURED = -1.0
 NAMES = ("theta_h", "theta_d", "phi_d")
 
@@ -73,6 +76,10 @@ def measured_merl(path: str | PathLike, *, negatives: Negatives = "keep") -> Mea
     steps = _steps(path)
     nodes = int(np.prod(steps))
     planes = finite_doubles(path, HEADER.size, 3 * nodes).reshape(3, nodes)
+    if planes.max() > LARGEST:
+        first = int(np.argmax(planes))
+        where = f"byte {HEADER.size + 8 * first}, value {first}"
+        raise FileFormatError(path, where, f"at most {LARGEST:g}", f"{planes.flat[first]:g}")
     measured = (planes >= 0).all(axis=0)
     if not measured.any():
         raise FileFormatError(

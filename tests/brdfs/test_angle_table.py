@@ -29,7 +29,7 @@ def test_between_the_nodes():
     for axis in (1, 3):
         values = np.concatenate([values.take([-1], axis), values, values.take([0], axis)], axis)
     closed = [np.r_[phi[-1] - 2 * np.pi, phi, phi[0] + 2 * np.pi] for phi in (PHI_I, PHI_O)]
-    (theta_i, phi_i), (theta_o, phi_o) = (map(np.asarray, angles(w)) for w in (wi, wo))
+    (theta_i, phi_i), (theta_o, phi_o) = ((np.asarray(a, np.float64) for a in angles(w)) for w in (wi, wo))
     points = np.clip(theta_i, 0.1, 1.2), phi_i % (2 * np.pi), np.clip(theta_o, 0, np.pi / 2), phi_o % (2 * np.pi)
     expected = RegularGridInterpolator((THETA_I, closed[0], THETA_O, closed[1]), values)(np.stack(points, -1))
     assert_close(brdf(wi, wo), expected, tolerance=1e-9 if X64 else 1e-4)
