@@ -49,7 +49,7 @@ def project_by_moments(
 def _by_moments(basis: IsotropicBasis, samples: Samples, norm: Norm, gamma: Array | None) -> Fit[LinearBRDF] | None:
     """None where the normal equations would cost too many digits."""
     samples = _in_float64(samples)
-    used, _ = check_samples(samples, norm, basis.count, ridged=gamma is not None)
+    used = check_samples(samples, norm, basis.count, ridged=gamma is not None).used
     gram, right, square = normal_equations(basis, norm, samples)
     coefficients, error, condition = _solved(gram, right, square, gamma)
     if not condition <= WELL_CONDITIONED:  # it may be NaN
