@@ -38,18 +38,19 @@ def check_samples(samples: Samples, norm: Norm, unknowns: int, *, ridged: bool) 
     return counts
 
 
-def check_values(samples: Samples, norm: Norm) -> Counts:
-    """The same without a word about how many there are."""
+def check_values(samples: Samples, norm: Norm, size: int | None = None) -> Counts:
+    """The same without a word about how many there are. Only the first `size` are meant, where others fill them up."""
+    size = samples.size if size is None else size
     bad_weights, used, inside, total, faults = jax.device_get(_survey(samples, norm))
     if bad_weights:
-        raise ValueError(f"{bad_weights} of {samples.size} weights are negative or not finite")
+        raise ValueError(f"{bad_weights} of {size} weights are negative or not finite")
     for what, (count, first) in zip(FAULTS, faults, strict=True):
         if count:
             raise ValueError(
                 f"{count} of {used} samples with a positive weight {what} (the first is sample {first}); "
                 "mask them with weight 0"
             )
-    return Counts(samples.size, int(used), int(inside), float(total))
+    return Counts(size, int(used), int(inside), float(total))
 
 
 def check_isotropy(basis: AbstractPairBasis, samples: Samples) -> None:

@@ -19,7 +19,7 @@ from hshjax.fitting._infer_compact import infer_compact
 from hshjax.fitting._mappings import CosineWeighted
 from hshjax.fitting._multi_start import multi_start
 from hshjax.fitting._positive_start import positive_start
-from hshjax.fitting._project import WHOLE, project
+from hshjax.fitting._project import SEARCHED, WHOLE, project
 from hshjax.fitting._project_by_moments import project_by_moments
 from hshjax.fitting._result import Fit, IterativeFit
 from hshjax.fitting._terms import SampleMisfit, Smoothness
@@ -27,9 +27,6 @@ from hshjax.quadrature import isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 MaterialModel = Literal["linear", "compact", "inferred", "exp", "cook-torrance", "ggx"]
-
-MANY = 200_000
-"""Samples beyond which a projection takes moments of them."""
 
 OnStep = Callable[[str], Callable[[Any, Any], None] | None]
 """Called with the name of an iterative fit that begins; gives its `on_step` (see `fit`), or None."""
@@ -94,10 +91,10 @@ def fit_material(
     begin = on_step if on_step is not None else lambda _: None
     if model == "linear":
         prior = "spectral" if ridge else None
-        if samples.size > MANY and not constraints:
-            found = project_by_moments(pairs, samples, norm=norm, ridge=ridge, prior=prior)
-        else:
+        if samples.size <= SEARCHED or constraints:  # `project` also says how reciprocal they are
             found = project(pairs, samples, norm=norm, ridge=ridge, prior=prior, constraints=constraints)
+        else:
+            found = project_by_moments(pairs, samples, norm=norm, ridge=ridge, prior=prior)
         return MaterialFit(found.model, samples, found)
     if model == "compact":
         compact = fit_compact(samples if isinstance(data, Samples) else _along_highlight(data), coefficients)

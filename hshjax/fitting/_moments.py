@@ -13,7 +13,7 @@ with Legendre polynomials P of the radial variables, from which those of every m
 import os
 from functools import lru_cache, partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
 import jax
 import jax.numpy as jnp
@@ -25,15 +25,20 @@ from hshjax.bases import HSH, SHR, IsotropicBasis, Zernike
 from hshjax.bases._base import AbstractBasis, matmul
 from hshjax.bases._isotropic import _difference_chart, _factors
 from hshjax.brdfs._linear import cosine_power
-from hshjax.fitting._blocks import fold
+from hshjax.fitting._blocks import ROWS, fold
 from hshjax.fitting._norms import Norm
+from hshjax.fitting._sample_blocks import regrouped
 from hshjax.quadrature import PairRule, isotropic_pair_rule
 from hshjax.samples import Samples
 
 BLOCK = 1024
 """Samples a block: what is formed of them stays in the cache."""
 
-CORES = os.cpu_count() or 1
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+"""That this process may use, where the system tells."""
+
+ENOUGH = 4
+"""Samples for every node of the rule, from which moments save work: the nodes cost as much as so many samples by QR."""
 
 
 class Equations(NamedTuple):
@@ -44,23 +49,26 @@ class Equations(NamedTuple):
     square: Float[Array, " channels"]
 
 
-def has_moments(basis: object) -> bool:
+def has_moments(basis: object) -> TypeGuard[IsotropicBasis]:
     """Whether products of the functions lie in the span of twice the order."""
     return isinstance(basis, IsotropicBasis) and isinstance(basis.basis, HSH | SHR | Zernike)
+
+
+def pay(basis: IsotropicBasis, samples: int) -> bool:
+    """Whether so many samples are enough for moments to save work."""
+    order = basis.basis.order  # `_rule` is of degree 4 order, and half of it where the basis is bilateral
+    nodes = (2 * order + 1) ** 2 * (4 * order + 1) / (2 if basis.bilateral else 1)
+    return samples > ENOUGH * nodes
 
 
 def normal_equations(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Equations:
     """Of the weighted least squares of `project`, for a basis that `has_moments`. Not under `jax.jit`: parts of the
     samples are summed at the same time, one a core.
     """
-    edges = np.linspace(0, samples.size, min(CORES, -(-samples.size // BLOCK)) + 1).astype(int).tolist()
-    parts = [_moments(basis, norm, _part(samples, *ends)) for ends in pairwise(edges)]
-    return _equations(basis, jnp.stack(parts), samples.channels, *_rule_rows(basis))
-
-
-def _part(samples: Samples, start: int, stop: int) -> Samples:
-    wi, wo, value, weight = (a[start:stop] for a in (samples.wi, samples.wo, samples.value, samples.weight))
-    return Samples(wi, wo, value, weight, None, samples.isotropic)
+    rows = max(BLOCK, -(-samples.size // CORES))  # of all parts, so that one program serves them
+    parts = [_moments(basis, norm, part) for part in regrouped([samples], rows)]
+    wi, wo, weight, *_ = _rule(_twice(basis), jnp.float64)
+    return _equations(basis, jnp.stack(parts), samples.channels, Samples.scattered(wi, wo, weight[:, None], weight))
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -94,22 +102,14 @@ def _sizes(basis: IsotropicBasis, channels: int) -> list[int]:
 
 
 @partial(jax.jit, static_argnums=(0, 2))
-def _equations(
-    basis: IsotropicBasis,
-    sums: Float[Array, "parts sums"],
-    channels: int,
-    wi: Array,
-    wo: Array,
-    weight: Array,
-    rows: Array,
-) -> Equations:
+def _equations(basis: IsotropicBasis, sums: Float[Array, "parts sums"], channels: int, rule: Samples) -> Equations:
     twice = _twice(basis)
     edges = np.cumsum(_sizes(basis, channels))[:-1].tolist()
     square, *parts = jnp.split(jnp.sum(sums, axis=0), edges)
     bands = _bands(twice)
     moments = _inner(twice, bands, parts[: len(bands)], 1)[:, 0]
     right = _inner(basis, _bands(basis), parts[len(bands) :], channels)
-    return Equations(_gram(twice, moments, (wi, wo, weight), rows), right, square)
+    return Equations(_gram(basis, moments, rule), right, square)
 
 
 class Band(NamedTuple):
@@ -158,20 +158,26 @@ def _inner(
     return _column(n.norm, table) * (there + _column(sign, table) * back)
 
 
-def _gram(twice: IsotropicBasis, moments: Float[Array, " modes"], nodes: tuple[Array, ...], rows: Array) -> Array:
-    """BᵀWB, with `rows` B at the `nodes` wi, wo, weight of a rule, and weights there that have the moments."""
-    wi, wo, weight = nodes
+def _gram(basis: IsotropicBasis, moments: Float[Array, " twice"], rule: Samples) -> Float[Array, "modes modes"]:
+    """BᵀWB: of the nodes of a rule, weighted such that they have the moments."""
+    twice = _twice(basis)
     n = twice.table()
-    ri, ro, azimuth = _factors(twice, wi, wo)
+    degrees = twice.basis.radial_counts()[0]
     part = jnp.asarray(n.norm, moments.dtype) * moments
     turn = n.sine.astype(np.int32)
     sign = jnp.asarray(np.where(n.sine, -1, 1), moments.dtype)
-    matrix = jnp.zeros((2, *ri.shape[:2], ri.shape[1]), moments.dtype)
+    matrix = jnp.zeros((2, twice.basis.order + 1, degrees, degrees), moments.dtype)
     matrix = matrix.at[turn, n.m, n.j, n.k].add(part).at[turn, n.m, n.k, n.j].add(sign * part)
-    if twice.bilateral:
-        matrix, azimuth = matrix[:1], azimuth[:1]
-    density = jnp.einsum("tmn,mjn,tmjn->n", azimuth, ri, jnp.einsum("tmjk,mkn->tmjn", matrix, ro, precision="highest"))
-    return matmul(rows.T, (weight * density)[:, None] * rows)
+    turns = 1 if twice.bilateral else 2
+
+    def visit(gram, wi, wo, _, weight):
+        ri, ro, azimuth = _factors(twice, wi, wo)
+        radial = jnp.einsum("tmjk,mkn->tmjn", matrix[:turns], ro, precision="highest")
+        density = jnp.einsum("tmn,mjn,tmjn->n", azimuth[:turns], ri, radial)
+        rows = basis(wi, wo)
+        return gram + matmul(rows.T, (weight * density)[:, None] * rows)
+
+    return fold(rule, ROWS, jnp.zeros((basis.count, basis.count), moments.dtype), visit)
 
 
 def _rule(pairs: IsotropicBasis, dtype) -> PairRule:
@@ -183,13 +189,6 @@ def _rule(pairs: IsotropicBasis, dtype) -> PairRule:
         weight = weight * jnp.asarray(np.where(side > 1e-6, 2, 1), dtype)
         wi, wo, weight = wi[above], wo[above], weight[above]
     return PairRule(wi, wo, weight, degree, isotropic)
-
-
-@lru_cache(maxsize=4)
-def _rule_rows(basis: IsotropicBasis) -> tuple[np.ndarray, ...]:
-    """wi, wo, weight of `_rule` and the design rows there. They depend on nothing but the basis. On the host."""
-    rule = _rule(_twice(basis), jnp.float64)
-    return tuple(map(np.asarray, (rule.wi, rule.wo, rule.weight, basis(rule.wi, rule.wo))))
 
 
 def _twice(basis: IsotropicBasis) -> IsotropicBasis:

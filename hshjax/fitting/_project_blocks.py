@@ -21,7 +21,7 @@ from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._project import factorize, posterior_of, solve_factor
 from hshjax.fitting._result import Fit
-from hshjax.fitting._sample_blocks import BlockError, read_blocks, regrouped
+from hshjax.fitting._sample_blocks import BlockError, filled, read_blocks, regrouped
 from hshjax.samples import Samples
 
 STEP = 2**16
@@ -97,7 +97,9 @@ class _Sums:
         for number, samples in read_blocks(blocks):
             try:
                 check_isotropy(self.basis, samples)
-                self.counts = self.counts.plus(check_values(samples, self.norm))
+                # Filled up to a power of two: a program is compiled for every size.
+                whole = filled(samples, 1 << (samples.size - 1).bit_length())
+                self.counts = self.counts.plus(check_values(whole, self.norm, samples.size))
             except ValueError as error:
                 raise BlockError(number, str(error)) from error
             yield samples

@@ -10,11 +10,12 @@ from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF
 from hshjax.fitting._checks import check_samples
 from hshjax.fitting._misfit import misfit, ratio
-from hshjax.fitting._moments import has_moments, normal_equations
+from hshjax.fitting._moments import has_moments, normal_equations, pay
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._project import _condition, project
 from hshjax.fitting._result import Fit
+from hshjax.geometry import common_dtype
 from hshjax.samples import Samples
 
 WELL_CONDITIONED = 300.0
@@ -30,18 +31,19 @@ def project_by_moments(
     """`project(basis, samples, norm=norm, ridge=ridge, prior=prior)`, sooner where samples are many: the same
     coefficients, residual and condition to about ten digits, from moments of the samples in one pass.
 
-    For an `IsotropicBasis` of `HSH`, `SHR` or `Zernike`. Every other basis, and samples that leave the condition number
-    above 300, go to `project`: `method` of the result is "moments" where it was not needed. Found in float64; the
-    result has the dtype of the samples. Reciprocity of the data is not measured. Not under `jax.jit`.
+    For an `IsotropicBasis` of `HSH`, `SHR` or `Zernike` and samples that are scattered: every other basis, the nodes of
+    an exact rule, samples that are not many more than the products of functions, and those that leave the condition
+    number above 300, go to `project`. `method` of the result is "moments" where it was not needed. Found in float64;
+    the result has the dtype of the samples. Reciprocity of the data is not measured. Not under `jax.jit`.
 
     **Raises:** as `project`.
     """
     chosen, gamma = named_norm(norm), penalty(basis, ridge, prior)
-    if has_moments(basis):
+    if has_moments(basis) and samples.degree is None and pay(basis, samples.size):
+        dtype = common_dtype(samples.wi, samples.wo, samples.value, samples.weight)[2].dtype
         with jax.enable_x64(True):
-            fit = _by_moments(basis, samples, chosen, gamma)  # pyright: ignore[reportArgumentType]
+            fit = _by_moments(basis, samples, chosen, gamma)
         if fit is not None:
-            dtype = samples.value.dtype
             return jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf).astype(dtype)), fit)
     return project(basis, samples, norm=norm, ridge=ridge, prior=prior, reciprocity=False)
 

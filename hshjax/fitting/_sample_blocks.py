@@ -97,21 +97,25 @@ def read_blocks(blocks: Iterable[Samples]) -> Iterator[tuple[int, Samples]]:
 
 def regrouped(blocks: Iterable[Samples], rows: int) -> Iterator[Samples]:
     """The same samples in blocks of exactly `rows`; the last one is filled up by samples of weight 0."""
-    waiting: list[Samples] = []
-    count = 0
+    rest: list[Samples] = []  # fewer than `rows` together
     for samples in blocks:
-        waiting.append(samples)
-        count += samples.size
-        while count >= rows:
-            joined = _joined(waiting)
-            yield _rows(joined, slice(0, rows))
-            waiting, count = [_rows(joined, slice(rows, None))], count - rows
-    if count:
-        rest = _joined(waiting)
-        lacking = rows - count
-        up = jnp.tile(jnp.asarray([0, 0, 1], rest.wi.dtype), (lacking, 1))
-        black = jnp.zeros((lacking, rest.channels), rest.value.dtype)
-        yield _joined([rest, Samples(up, up, black, jnp.zeros(lacking, rest.weight.dtype))])
+        start, count = 0, sum(one.size for one in rest)
+        while count + samples.size - start >= rows:
+            stop = start + rows - count
+            yield _joined([*rest, _rows(samples, start, stop)])
+            rest, start, count = [], stop, 0
+        rest.append(_rows(samples, start, samples.size))
+    if any(one.size for one in rest):
+        yield filled(_joined(rest), rows)
+
+
+def filled(samples: Samples, rows: int) -> Samples:
+    """Samples of weight 0 after these, up to so many."""
+    lacking = rows - samples.size
+    up = jnp.asarray(np.tile(np.asarray([0, 0, 1], samples.wi.dtype), (lacking, 1)))
+    black = jnp.asarray(np.zeros((lacking, samples.channels), samples.value.dtype))
+    nothing = jnp.asarray(np.zeros(lacking, samples.weight.dtype))
+    return _joined([samples, Samples(up, up, black, nothing)])
 
 
 def _joined(blocks: list[Samples]) -> Samples:
@@ -121,8 +125,10 @@ def _joined(blocks: list[Samples]) -> Samples:
     return Samples(wi, wo, value, weight, None, blocks[0].isotropic)
 
 
-def _rows(samples: Samples, rows: slice) -> Samples:
-    wi, wo, value, weight = (jnp.asarray(np.asarray(part)[rows]) for part in _parts(samples))
+def _rows(samples: Samples, start: int, stop: int) -> Samples:
+    if (start, stop) == (0, samples.size):
+        return samples
+    wi, wo, value, weight = (jnp.asarray(np.asarray(part)[start:stop]) for part in _parts(samples))
     return Samples(wi, wo, value, weight, None, samples.isotropic)
 
 

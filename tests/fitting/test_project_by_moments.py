@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from hshjax.bases import HSH, SHR, HelmholtzBasis, IsotropicBasis, Zernike
-from hshjax.brdfs import HalfVectorTable
+from hshjax.brdfs import HalfVectorTable, Lambert
 from hshjax.fitting import project, project_by_moments
+from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, X64, assert_close, directions
 
@@ -19,7 +20,7 @@ BASES = {
 }
 
 
-def samples(n: int = 5000, channels: int = 2) -> Samples:
+def samples(n: int = 6000, channels: int = 2) -> Samples:
     """Noise, with what fits cannot explain, some of it masked and not finite."""
     rng = np.random.default_rng(0)
     value, weight = rng.uniform(0, 1, (n, channels)), rng.uniform(0, 1, n)
@@ -92,8 +93,8 @@ def test_what_is_refused():
 
 
 def test_nodes_of_a_table_folded_or_not():
-    h, d, f = (np.arange(n) / n for n in (14, 12, 16))
-    values = np.random.default_rng(8).uniform(0.1, 1, (14, 12, 16, 3))
+    h, d, f = (np.arange(n) / n for n in (24, 16, 24))
+    values = np.random.default_rng(8).uniform(0.1, 1, (24, 16, 24, 3))
     table = HalfVectorTable(*(jnp.asarray(x, DTYPE) for x in (values, h**2 * np.pi / 2, d * np.pi / 2, f * np.pi)))
     basis = BASES["HSH"]
     expected = project(basis, table.node_samples(), reciprocity=False)
@@ -102,3 +103,21 @@ def test_nodes_of_a_table_folded_or_not():
         assert fit.method == "moments"
         assert_close(fit.model.coefficients, expected.model.coefficients, tolerance=1e-10 if X64 else 2e-4)
     assert np.all(np.asarray(fit.residual) < np.asarray(expected.residual))
+
+
+def test_what_moments_do_not_pay_for_goes_to_project():
+    """Few samples, and the nodes of an exact rule."""
+    basis = IsotropicBasis(HSH(4))
+    assert project_by_moments(basis, samples(1000)).method == "QR"
+    rule = Samples.from_function(Lambert(jnp.asarray([0.5], DTYPE)), isotropic_pair_rule(40, dtype=DTYPE))
+    assert project_by_moments(basis, rule).method == "inner products"
+
+
+def test_values_of_half_precision():
+    """The dtype of the result is that of `project`."""
+    given = samples()
+    ones = Samples.scattered(given.wi, given.wo, jnp.ones((given.size, 1), jnp.float16), given.weight, isotropic=True)
+    fit, expected = project_by_moments(BASES["SHR"], ones), project(BASES["SHR"], ones, reciprocity=False)
+    assert fit.method == "moments"
+    assert fit.model.coefficients.dtype == expected.model.coefficients.dtype
+    assert_close(fit.model.coefficients, expected.model.coefficients, tolerance=1e-10 if X64 else 2e-4)
