@@ -141,6 +141,7 @@ def fit(
         describe_model(figures, result.model)
         where = "" if result.samples.degree is None else f" on a rule of degree {result.samples.degree}"
         figures.add("samples", result.samples.size, words=f"{result.samples.size}{where}")
+        figures.add("fit_notes", result.notes, "decisions of the fit", "\n".join(result.notes) or "none")
         _details(figures, result.details)
         errors = compare(result.samples, result.model)
         for name, value in errors.errors.items():
