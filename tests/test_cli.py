@@ -15,6 +15,8 @@ from hshjax.cli import app
 from hshjax.fitting import project
 from hshjax.geometry import direction, from_half_difference
 from hshjax.io import exr_channels, load_model, read_exr, save_model, write_csv_samples, write_exr
+from hshjax.io._images import read_image
+from hshjax.io.merl import write_merl
 from hshjax.metrics import albedo
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
@@ -415,3 +417,24 @@ def test_a_slice_says_where_nothing_was_measured_and_refuses_what_is_infinite(tm
     assert refused.exit_code == 1
     assert "finite values" in refused.stderr
     assert not (tmp_path / "huge.exr").exists()
+
+
+def test_a_merl_file_is_fitted(tmp_path):
+    """From the file to a model on disk: of its channels, near its values, with what the reader found."""
+    brdf = OrenNayar([0.5, 0.3, 0.2], 0.3)
+    write_merl(tmp_path / "x.binary", brdf, steps=(12, 10, 12))
+    out = tmp_path / "x"
+    done = run("fit", tmp_path / "x.binary", "--order", 3, "--out", out, "--json")
+    assert done.exit_code == 0, done.output + done.stderr
+    metrics = json.loads(done.stdout)
+    assert metrics == json.loads((out / "metrics.json").read_text())
+    assert metrics["format"].startswith("MERL")
+    assert metrics["channels"] == ["R", "G", "B"]
+    assert metrics["entries"] == 12 * 10 * 12
+    assert metrics["fit_notes"] == []
+    assert max(metrics["relative_error_E"]) < 0.02
+    fitted = load_model(out / "model.hshjax")
+    wi, wo = direction(jnp.radians(jnp.asarray([20.0, 50.0])), jnp.asarray([0.0, 2.0]))
+    # Of a table of 12 x 10 x 12 nodes and a series of order 3.
+    np.testing.assert_allclose(np.asarray(fitted(wi, wo)), np.asarray(brdf(wi, wo)), rtol=0.05)
+    assert read_image(out / "spheres.png").shape[1] == 2 * read_image(out / "spheres.png").shape[0]
