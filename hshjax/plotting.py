@@ -14,6 +14,7 @@ import numpy as np
 
 from hshjax import surface
 from hshjax._typing import PairFunction
+from hshjax.brdfs._known import known
 from hshjax.camera import OrthographicCamera
 from hshjax.geometry import direction, from_half_difference
 from hshjax.io import write_exr
@@ -74,7 +75,8 @@ def slice_image(brdf: PairFunction, *, size: int = 180, phi_d: float = np.pi / 2
 
     The highlight is the left edge, grazing reflection (Fresnel) the top, the bottom reflects back to the light, what
     lies between is diffuse. Values are at the centres of pixels, of an isotropic BRDF or at φ_h = 0; pairs
-    below the horizon, of which there are none at φ_d = π/2, are NaN. Linear values: see `display`.
+    below the horizon, of which there are none at φ_d = π/2, are NaN, and so are those that a table has not measured.
+    Linear values: see `display`.
 
     - `phi_d`: azimuth of the difference vector [radians]. - `root`: the right edge is 90 degrees still, but sqrt(θ_h)
       grows evenly, which widens highlights.
@@ -85,7 +87,8 @@ def slice_image(brdf: PairFunction, *, size: int = 180, phi_d: float = np.pi / 2
     theta_h, theta_d = np.meshgrid((place**2 if root else place) * np.pi / 2, place[::-1] * np.pi / 2)
     wi, wo = from_half_difference(jnp.asarray(theta_h), jnp.asarray(theta_d), jnp.asarray(phi_d))
     above = np.asarray((wi[..., 2] > 0) & (wo[..., 2] > 0))
-    return np.where(above[..., None], np.asarray(brdf(wi, wo), float), np.nan)
+    there = above & np.asarray(known(brdf, wi.reshape(-1, 3), wo.reshape(-1, 3))).reshape(above.shape)
+    return np.where(there[..., None], np.asarray(brdf(wi, wo), float), np.nan)
 
 
 def lobe_image(brdf: PairFunction, wi: Any, *, size: int = 256) -> np.ndarray:
@@ -110,8 +113,10 @@ def lobe_image(brdf: PairFunction, wi: Any, *, size: int = 256) -> np.ndarray:
     return np.where(inside[..., None], values, np.nan)
 
 
-def write_picture(path: str | PathLike, radiance: np.ndarray, *, factor: float | None = None) -> None:
-    """Write an image `(height, width, channels)` as its suffix says.
+def write_picture(
+    path: str | PathLike, radiance: np.ndarray, *, factor: float | None = None, suffix: str | None = None
+) -> None:
+    """Write an image `(height, width, channels)` as its suffix says; as `suffix` does, if there is one.
 
     `.exr`: the values themselves, times the `factor` if there is one, in float; NaN pixels are 0 under an alpha channel
     A, which is 1 elsewhere and present if there are such pixels. Channels are Y, or R, G, B, or else C0, C1, ...
@@ -119,7 +124,7 @@ def write_picture(path: str | PathLike, radiance: np.ndarray, *, factor: float |
 
     **Raises:** ValueError for another suffix, and as `display`, `exposure` and `hshjax.io.write_exr`.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = Path(path).suffix.lower() if suffix is None else suffix
     if suffix == ".png":
         shown = display(radiance, exposure(radiance) if factor is None else factor)
         write_png(path, np.rint(255 * shown).astype(np.uint8))

@@ -14,6 +14,9 @@ import numpy as np
 
 from hshjax._typing import Array, Float
 
+ANISOTROPIC_DEGREE = 16
+"""Of the `pair_rule` for anisotropic materials unless one is asked for: of a degree of 64 nobody has the memory."""
+
 
 class Rule(NamedTuple):
     """Directions `(n, 3)`, weights `(n,)` [sr] with sum 2π, and the degree to which the rule is exact."""

@@ -10,11 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 from hshjax.bases import HSH, IsotropicBasis
-from hshjax.brdfs import CookTorrance, ExpBRDF, OrenNayar
+from hshjax.brdfs import CookTorrance, ExpBRDF, HalfVectorTable, OrenNayar
 from hshjax.cli import app
 from hshjax.fitting import project
 from hshjax.geometry import direction, from_half_difference
 from hshjax.io import exr_channels, load_model, read_exr, save_model, write_csv_samples, write_exr
+from hshjax.io._images import read_image
+from hshjax.io.merl import write_merl
 from hshjax.metrics import albedo
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
@@ -336,3 +338,103 @@ def test_the_real_process_ends_as_it_says(model, tmp_path):
             assert json.loads(done.stdout)["kind"] == "LinearBRDF"
         else:
             assert done.stdout == ""
+
+
+def test_what_is_read_is_never_replaced(model, tmp_path):
+    """Not as a file within a folder, nor as a map, a mesh or under another name, --force or not."""
+    sky, ball, link = tmp_path / "sky.exr", tmp_path / "ball.png", tmp_path / "link.exr"
+    write_exr(sky, np.ones((4, 8, 3), np.float32))
+    ball.write_text("read by nobody")
+    link.symlink_to(sky)
+    source = model.with_name("model.hshjax")
+    model.rename(source)
+    small = ("--order", 1, "--degree", 8)
+    before = {path: path.read_bytes() for path in (sky, source, ball)}
+    for command in (
+        ("fit", source, *small, "--out", source.parent),
+        ("fit", source, *small, "--out", tmp_path / "new.hshjax", "--picture", source),
+        ("render", source, "--size", 16, "--light", sky, "--out", sky),
+        ("render", source, "--size", 16, "--light", sky, "--out", link),
+        ("render", source, "--size", 16, "--light", link, "--out", sky),
+        ("render", source, "--size", 16, "--mesh", ball, "--out", ball),
+        ("convert", source, source.parent / ".." / source.parent.name / source.name),
+        ("compare", source, source, "--picture", source),
+    ):
+        refused = run(*command, "--force")
+        assert refused.exit_code == 1, (command, refused.output)
+        assert "is what is read" in refused.stderr
+    assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.parametrize(
+    ("out", "picture"), [("a.hshjax", "a.hshjax"), ("a.hshjax", "./b/../a.hshjax"), ("b", "b/spheres.png")]
+)
+def test_one_file_is_not_two_results(model, tmp_path, out, picture):
+    (tmp_path / "b").mkdir()
+    command = ("fit", model, "--order", 1, "--degree", 8, "--out", tmp_path / out, "--picture", f"{tmp_path}/{picture}")
+    for force in ((), ("--force",)):
+        refused = run(*command, *force)
+        assert refused.exit_code == 1
+        assert "written twice" in refused.stderr
+    assert not (tmp_path / "a.hshjax").exists()
+    assert not list((tmp_path / "b").iterdir())
+
+
+@pytest.mark.parametrize("out", ["new.hshjax", "new", "old"])
+def test_an_interrupt_between_two_results_leaves_neither(model, tmp_path, monkeypatch, out):
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "metrics.json").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+
+    def stopped(path, *_):
+        if path.name != "spheres.png":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("hshjax.cli._fit.save_spheres", stopped)
+    picture = ("--picture", tmp_path / "new.png", "--force")
+    done = run("fit", model, "--order", 1, "--degree", 8, "--out", tmp_path / out, *picture)
+    assert done.exit_code == 130
+    assert "every file is as it was, or whole" in done.stderr
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "old" / "metrics.json").read_text() == "mine"
+
+
+def test_a_slice_says_where_nothing_was_measured_and_refuses_what_is_infinite(tmp_path):
+    """Alpha 0 there; under another name too."""
+    axes = np.radians([0.0, 30.0, 60.0, 80.0]), np.radians([0.0, 30.0, 60.0, 80.0]), np.asarray([np.pi / 2])
+    measured = jnp.broadcast_to((jnp.arange(4) < 2)[:, None, None], (4, 4, 1))
+    table = HalfVectorTable(np.full((4, 4, 1, 1), 0.5), *axes, channel_names=("Y",), measured=measured)
+    save_model(tmp_path / "table.hshjax", table)
+    done = run("convert", tmp_path / "table.hshjax", tmp_path / "slice.image", "--to", "exr")
+    assert done.exit_code == 0, done.output + done.stderr
+    assert exr_channels(tmp_path / "slice.image") == ("A", "Y")
+    alpha, value = np.moveaxis(read_exr(tmp_path / "slice.image"), -1, 0)
+    assert np.all(alpha[:, :120] == 1)  # pixels of half a degree, the last measured node at 30, the next at 60
+    assert np.all(alpha[:, 120:] == 0)
+    np.testing.assert_allclose(value, 0.5 * alpha, rtol=1e-6)
+    save_model(tmp_path / "huge.hshjax", ExpBRDF(IsotropicBasis(HSH(1)), jnp.full((4, 1), 1e4)))
+    refused = run("convert", tmp_path / "huge.hshjax", tmp_path / "huge.exr")
+    assert refused.exit_code == 1
+    assert "finite values" in refused.stderr
+    assert not (tmp_path / "huge.exr").exists()
+
+
+def test_a_merl_file_is_fitted(tmp_path):
+    """From the file to a model on disk: of its channels, near its values, with what the reader found."""
+    brdf = OrenNayar([0.5, 0.3, 0.2], 0.3)
+    write_merl(tmp_path / "x.binary", brdf, steps=(12, 10, 12))
+    out = tmp_path / "x"
+    done = run("fit", tmp_path / "x.binary", "--order", 3, "--out", out, "--json")
+    assert done.exit_code == 0, done.output + done.stderr
+    metrics = json.loads(done.stdout)
+    assert metrics == json.loads((out / "metrics.json").read_text())
+    assert metrics["format"].startswith("MERL")
+    assert metrics["channels"] == ["R", "G", "B"]
+    assert metrics["entries"] == 12 * 10 * 12
+    assert metrics["fit_notes"] == []
+    assert max(metrics["relative_error_E"]) < 0.02
+    fitted = load_model(out / "model.hshjax")
+    wi, wo = direction(jnp.radians(jnp.asarray([20.0, 50.0])), jnp.asarray([0.0, 2.0]))
+    # Of a table of 12 x 10 x 12 nodes and a series of order 3.
+    np.testing.assert_allclose(np.asarray(fitted(wi, wo)), np.asarray(brdf(wi, wo)), rtol=0.05)
+    assert read_image(out / "spheres.png").shape[1] == 2 * read_image(out / "spheres.png").shape[0]

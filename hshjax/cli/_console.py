@@ -4,7 +4,7 @@ import functools
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,8 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
         try:
             command(*arguments, **options)
         except KeyboardInterrupt:
-            raise failure("interrupted: nothing was written", INTERRUPTED) from None
+            # It may have been while the last names were given, or after that.
+            raise failure("interrupted: every file is as it was, or whole", INTERRUPTED) from None
         except MemoryError:
             raise failure("this needs more memory than there is") from None
         except (typer.Exit, typer.Abort, NotImplementedError, RecursionError):
@@ -64,23 +65,43 @@ def sentence(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 
-def check_targets(*targets: Path | None, force: bool, sources: tuple[Path, ...] = ()) -> None:
-    """Before any work: exits where a result could not be written, or would replace a file or folder without `force`.
+def check_targets(
+    *files: Path | None,
+    force: bool,
+    sources: Sequence[Path | None] = (),
+    folder: Path | None = None,
+    names: Sequence[str] = (),
+) -> None:
+    """Before any work: exits where a result could not be written, or would replace something without `force`.
 
-    A folder that is empty may be filled. `sources` are never replaced.
+    `files` are written, and those of `names` in `folder`, which may be there and empty; None is none. No two of them
+    may be the same, and none may be one of `sources`, `force` or not.
     """
-    for target in targets:
-        if target is None:
-            continue
+    targets = [file for file in files if file is not None]
+    for target in targets if folder is None else [*targets, folder]:
         if not target.absolute().parent.is_dir():
             raise failure(f"{target}: there is no folder {target.absolute().parent}")
-        if any(source.exists() and target.exists() and target.samefile(source) for source in sources):
+    if folder is not None and folder.exists() and not folder.is_dir():
+        raise failure(f"{folder} is a file: --out takes a folder, or a name that ends as that of a file does")
+    for target in targets:
+        if target.is_dir():
+            raise failure(f"{target} is a folder: this is written into a file")
+    written = targets if folder is None else [*targets, *(folder / name for name in names)]
+    for k, target in enumerate(written):
+        if any(source is not None and _same(target, source) for source in sources):
             raise failure(f"{target} is what is read: results go into another file")
-        if target.is_dir() and not any(target.iterdir()):
-            continue
+        if any(_same(target, other) for other in written[:k]):
+            raise failure(f"{target} would be written twice: results go into different files")
+    for target in targets:
         if target.exists() and not force:
-            what = "there and not empty" if target.is_dir() else "there already"
-            raise failure(f"{target} is {what}: --force replaces files of the same names")
+            raise failure(f"{target} is there already: --force replaces files of the same names")
+    if folder is not None and folder.exists() and any(folder.iterdir()) and not force:
+        raise failure(f"{folder} is there and not empty: --force replaces files of the same names")
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two names mean one file, which need not be there; links are followed."""
+    return one.resolve() == other.resolve() or (one.exists() and other.exists() and one.samefile(other))
 
 
 class Figures:

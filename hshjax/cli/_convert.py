@@ -25,7 +25,7 @@ def convert(
     """Write a material in another format.
 
     .binary (MERL), .bsdf (RGL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or
-    a table), .exr (its slice over half and difference angle).
+    a table), .exr (its slice over half and difference angle; alpha is 0 where nothing was measured).
 
     Examples:
 
@@ -38,8 +38,7 @@ def convert(
     import numpy as np
 
     from hshjax import plotting
-    from hshjax.cli._render import channel_names
-    from hshjax.io import read_material, write_exr
+    from hshjax.io import read_material
     from hshjax.io.write_material import WRITERS, write_material, writer_suffix
     from hshjax.samples import Samples
 
@@ -61,7 +60,10 @@ def convert(
             )
         else:
             image = plotting.slice_image(data)
-            write_exr(target, np.nan_to_num(image), channel_names(image.shape[-1]))
+            endless = int(np.isinf(image).any(axis=-1).sum())
+            if endless:
+                raise failure(f"{source}: an image of it needs finite values, {endless} pixels have none")
+            plotting.write_picture(target, image, suffix=SLICE)
     figures.add("format", suffix, words=f"{suffix}, {SLICED if sliced else WRITERS[suffix].words}")
     figures.add("bytes", target.stat().st_size)
     figures.show(f"{source.name} → {target.name}", as_json=as_json)

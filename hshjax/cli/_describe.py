@@ -4,9 +4,6 @@ from typing import Any
 
 from hshjax.cli._console import Figures
 
-ANGLES = (0.0, 45.0, 75.0)
-"""Of incidence [degrees]."""
-
 
 def describe_file(figures: Figures, found: Any) -> None:
     """What the reader of a measured file found, its `Findings`."""
@@ -89,9 +86,10 @@ def describe_energy(figures: Figures, brdf: Any) -> None:
     import numpy as np
 
     from hshjax.brdfs._isotropy import is_isotropic
+    from hshjax.fitting._compare import ANGLES
     from hshjax.geometry import direction
     from hshjax.metrics import albedo, hemispherical_albedo, negativity
-    from hshjax.quadrature import hemisphere_rule, isotropic_pair_rule, pair_rule
+    from hshjax.quadrature import ANISOTROPIC_DEGREE, hemisphere_rule, isotropic_pair_rule, pair_rule
 
     known = getattr(getattr(brdf, "basis", None), "isotropic", None)
     isotropic = is_isotropic(brdf) if known is None else known
@@ -110,7 +108,7 @@ def describe_energy(figures: Figures, brdf: Any) -> None:
     else:
         white = hemispherical_albedo(brdf, hemisphere_rule(32))
     figures.add("hemispherical_albedo", white, words=numbers(white))
-    negative = negativity(brdf, isotropic_pair_rule(32) if isotropic else pair_rule(16))
+    negative = negativity(brdf, isotropic_pair_rule(32) if isotropic else pair_rule(ANISOTROPIC_DEGREE))
     smallest, share = float(negative.minimum), float(negative.share)
     figures.add("smallest_value", smallest, words=f"{smallest:.3g} sr^-1")
     figures.add("negative_share", share, "negative share of the energy", f"{share:.2g}")

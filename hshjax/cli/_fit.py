@@ -1,7 +1,7 @@
 """`hshjax fit`: from a measured material to a saved model, in numbers and pictures."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,6 +17,9 @@ from hshjax.cli._describe import (
     numbers,
 )
 from hshjax.cli._options import File, Force, Json, Negatives
+
+FILES = ("model.hshjax", "metrics.json", "spheres.png")
+"""In the folder of a result."""
 
 FAMILIES = {"hsh": "HSH", "zernike": "Zernike", "shr": "SHR"}
 
@@ -101,7 +104,7 @@ def fit(
     from hshjax import bases
     from hshjax.fitting import compare, fit_material
     from hshjax.io import coverage, read_material, save_model
-    from hshjax.io._replace import replacing_folder
+    from hshjax.io._replace import replacing, replacing_folder
     from hshjax.samples import Samples
 
     if valid and model != "linear":
@@ -110,9 +113,10 @@ def fit(
     folder = target.suffix != ".hshjax"
     if out is None and target == file:
         raise failure(f"{file} is a model: say by --out where to save another")
-    if folder and target.exists() and not target.is_dir():
-        raise failure(f"{target} is a file: --out takes a folder, or a name that ends in .hshjax")
-    check_targets(target, picture, force=force, sources=(file,))
+    if folder:
+        check_targets(picture, force=force, sources=(file,), folder=target, names=FILES)
+    else:
+        check_targets(target, picture, force=force, sources=(file,))
 
     figures = Figures()
     with complaints.status("reading"):
@@ -126,7 +130,7 @@ def fit(
         limits = f"beyond θ_i {covered.theta_i[1]:.4g} and θ_o {covered.theta_o[1]:.4g} degrees"
         beyond = f"values {limits} and between incidences are extrapolated"
     pairs = bases.IsotropicBasis(getattr(bases, FAMILIES[basis])(order))
-    with _display(max_steps) as begin, complaints.status("fitting") if model in CLOSED else _quiet():
+    with _display(max_steps) as begin, complaints.status("fitting") if model in CLOSED else nullcontext():
         result = fit_material(
             data, model, basis=pairs, coefficients=coefficients, norm=norm, ridge=ridge,
             constraints=("non_negative", "energy") if valid else (),
@@ -137,6 +141,7 @@ def fit(
         describe_model(figures, result.model)
         where = "" if result.samples.degree is None else f" on a rule of degree {result.samples.degree}"
         figures.add("samples", result.samples.size, words=f"{result.samples.size}{where}")
+        figures.add("fit_notes", result.notes, "decisions of the fit", "\n".join(result.notes) or "none")
         _details(figures, result.details)
         errors = compare(result.samples, result.model)
         for name, value in errors.errors.items():
@@ -147,16 +152,17 @@ def fit(
             figures.add("extrapolated", beyond)
             if model == "linear":
                 figures.add("advice", "a series rings between few incidences; --model inferred, or compact, does not")
-    with complaints.status("writing"):
+    # Everything is written under hidden names first: what stops this leaves all as it was, and not a part of the files.
+    with complaints.status("writing"), ExitStack() as last:
         if folder:
-            with replacing_folder(target) as beside:
-                save_model(beside / "model.hshjax", result.model)
-                (beside / "metrics.json").write_text(figures.json(), encoding="utf-8")
-                save_spheres(beside / "spheres.png", *_shown(data, result.model))
+            beside = last.enter_context(replacing_folder(target))
+            save_model(beside / "model.hshjax", result.model)
+            (beside / "metrics.json").write_text(figures.json(), encoding="utf-8")
+            save_spheres(beside / "spheres.png", *_shown(data, result.model))
         else:
-            save_model(target, result.model)
+            save_model(last.enter_context(replacing(target)), result.model)
         if picture is not None:
-            save_spheres(picture, *_shown(data, result.model))
+            save_spheres(last.enter_context(replacing(picture)), *_shown(data, result.model))
     figures.show(f"{file.name}: {model}", as_json=as_json)
     if not as_json:
         console.print(f"folder: {target}" if folder else f"model: {target}", soft_wrap=True)
@@ -214,11 +220,6 @@ def _parameters(model: Any) -> dict[str, Any]:
     from hshjax.fitting._bounds import path_name
 
     return {path_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(model)}
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    yield
 
 
 @contextmanager

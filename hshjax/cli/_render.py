@@ -69,7 +69,7 @@ def render(
     if exposure is not None and not (exposure > 0 and np.isfinite(exposure)):
         raise Misuse(f"--exposure must be a finite number above 0, got {exposure}")
     shining = _light(light)
-    check_targets(out, force=force, sources=(file,))
+    check_targets(out, force=force, sources=(file, mesh, _map(light)))
     with complaints.status("reading"):
         brdf, _ = read_material(file)
     if isinstance(brdf, Samples):
@@ -103,6 +103,11 @@ def render(
         console.print(f"picture: {out}", soft_wrap=True)
 
 
+def _map(text: str) -> Path | None:
+    """The file of an environment map, if an option names one."""
+    return Path(text) if text.lower().endswith(".exr") else None
+
+
 def _light(text: str) -> Any:
     """The light that an option names."""
     import jax.numpy as jnp
@@ -114,7 +119,7 @@ def _light(text: str) -> Any:
 
     if text == "furnace":
         return furnace()
-    if text.lower().endswith(".exr"):
+    if _map(text) is not None:
         image = read_exr(text)
         if image.shape[-1] == 4:
             image = image[..., :3]  # alpha is no light
@@ -149,11 +154,6 @@ def _mesh(path: Path, size: int) -> tuple[Any, Any]:
         (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), centre=centre, height=jnp.asarray(height), resolution=(size, size)
     )
     return surface.mesh(camera, vertices, faces), camera
-
-
-def channel_names(count: int) -> tuple[str, ...]:
-    """Of an EXR image, without alpha."""
-    return {1: ("Y",), 3: ("R", "G", "B")}.get(count, tuple(f"C{k}" for k in range(count)))
 
 
 @contextmanager

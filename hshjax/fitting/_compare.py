@@ -12,7 +12,7 @@ from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import NORMS
 from hshjax.geometry import direction
 from hshjax.metrics import albedo, with_channels
-from hshjax.quadrature import isotropic_pair_rule, pair_rule
+from hshjax.quadrature import ANISOTROPIC_DEGREE, isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 ANGLES = (0.0, 45.0, 75.0)
@@ -20,9 +20,6 @@ ANGLES = (0.0, 45.0, 75.0)
 
 JUDGES = ("A", "D", "E")
 """Norms that differ in how they judge."""
-
-ANISOTROPIC = 16
-"""Degree of the rule for materials that are: over both azimuths, an isotropic one of degree 64 would not fit."""
 
 LOG_LIMIT = 80.0
 """Angle to the normal up to which the log error looks [degrees]: nearer the horizon measurements err most."""
@@ -64,7 +61,9 @@ def compare(reference: Samples | PairFunction, candidate: Samples | PairFunction
         rule = candidate
     else:
         isotropic = is_isotropic(reference) and is_isotropic(candidate)
-        rule = Samples.from_function(reference, isotropic_pair_rule(degree) if isotropic else pair_rule(ANISOTROPIC))
+        rule = Samples.from_function(
+            reference, isotropic_pair_rule(degree) if isotropic else pair_rule(ANISOTROPIC_DEGREE)
+        )
     rule = rule.cleared()
     for side in (reference, candidate):  # where a table has no value, there is nothing to compare
         if not isinstance(side, Samples):

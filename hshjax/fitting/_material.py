@@ -5,6 +5,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from hshjax._typing import PairFunction
 from hshjax.bases import HSH, AbstractPairBasis, HelmholtzBasis, IsotropicBasis, TensorBasis
@@ -23,7 +24,8 @@ from hshjax.fitting._project import SEARCHED, WHOLE, project
 from hshjax.fitting._project_by_moments import project_by_moments
 from hshjax.fitting._result import Fit, IterativeFit
 from hshjax.fitting._terms import SampleMisfit, Smoothness
-from hshjax.quadrature import isotropic_pair_rule, pair_rule
+from hshjax.io._directions import one_azimuth
+from hshjax.quadrature import ANISOTROPIC_DEGREE, isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 MaterialModel = Literal["linear", "compact", "inferred", "exp", "cook-torrance", "ggx"]
@@ -38,11 +40,13 @@ class MaterialFit(NamedTuple):
     - `model`: the fitted BRDF. - `samples`: what errors are measured on: the samples given, or a table's nodes.
     - `details`: of the fit itself: a `Fit` (linear), `CompactFit`, `CompactPosterior` (inferred), or the `IterativeFit`
       of every channel (exp) or of all (lobes).
+    - `notes`: what was decided on the way, a sentence each.
     """
 
     model: AbstractBRDF
     samples: Samples
     details: Fit | CompactFit | CompactPosterior | tuple[IterativeFit, ...]
+    notes: tuple[str, ...] = ()
 
 
 def fit_material(
@@ -69,21 +73,24 @@ def fit_material(
       to the energy, channel by channel. "cook-torrance", "ggx": that lobe and a diffuse part, from many starts.
     - `constraints`: of a linear model, see `project`.
 
-    An anisotropic BRDF takes a linear model, over the `HelmholtzBasis` of the same functions, on a `pair_rule`.
+    An anisotropic BRDF takes a linear model, over the `HelmholtzBasis` of the same functions, on a `pair_rule`. So do
+    samples that are not `isotropic` where they outnumber its functions; where they do not, and by other models, they
+    are fitted as those of an isotropic material. `notes` says which.
 
     **Raises:** ValueError as these functions do; for another model, and another one than linear where the BRDF is
     anisotropic.
     """
     if model not in get_args(MaterialModel):
         raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
-    pairs = IsotropicBasis(HSH(8)) if basis is None else basis
+    pairs, notes = IsotropicBasis(HSH(8)) if basis is None else basis, ()
     if not isinstance(data, Samples) and not is_isotropic(data):
         if model != "linear":
             raise ValueError(f"this material is anisotropic: model must be linear, in a basis for that, got {model!r}")
         pairs = _anisotropic(pairs)
-        samples = table_samples(data, pair_rule(max(16, 2 * pairs.basis.order)))
+        samples = table_samples(data, pair_rule(max(ANISOTROPIC_DEGREE, 2 * pairs.basis.order)))
     elif isinstance(data, Samples):
         samples = levelled(data)
+        pairs, notes = _suited(pairs, samples, model)
     elif isinstance(data, HalfVectorTable) and model == "linear":
         samples = data.node_samples()
     else:
@@ -96,16 +103,17 @@ def fit_material(
         else:
             found = project_by_moments(pairs, samples, norm=norm, ridge=ridge, prior=prior)
         return MaterialFit(found.model, samples, found)
+        return MaterialFit(found.model, samples, found, notes)
     if model == "compact":
         compact = fit_compact(samples if isinstance(data, Samples) else _along_highlight(data), coefficients)
-        return MaterialFit(compact.model, samples, compact)
+        return MaterialFit(compact.model, samples, compact, notes)
     if model == "inferred":
         posterior = infer_compact(samples, coefficients)
-        return MaterialFit(posterior.model, samples, posterior)
+        return MaterialFit(posterior.model, samples, posterior, notes)
     samples = samples.cleared()
     if model == "exp":
-        return _exponential(pairs, samples, ridge, max_steps, begin)
-    return _lobe(model, samples, max_steps, begin)
+        return _exponential(pairs, samples, ridge, max_steps, begin)._replace(notes=notes)
+    return _lobe(model, samples, max_steps, begin)._replace(notes=notes)
 
 
 def _anisotropic(pairs: AbstractPairBasis) -> HelmholtzBasis | TensorBasis:
@@ -115,6 +123,27 @@ def _anisotropic(pairs: AbstractPairBasis) -> HelmholtzBasis | TensorBasis:
     if isinstance(pairs, HelmholtzBasis | TensorBasis):
         return pairs
     raise ValueError(f"this material is anisotropic, which {pairs} cannot follow")
+
+
+def _suited(
+    pairs: AbstractPairBasis, samples: Samples, model: MaterialModel
+) -> tuple[AbstractPairBasis, tuple[str, ...]]:
+    """The basis that samples are fitted by, and why, where they may be those of an anisotropic material."""
+    follows = model in ("linear", "exp") and not pairs.isotropic
+    if samples.isotropic or follows:
+        return pairs, ()
+    if one_azimuth(np.asarray(samples.wi)):
+        return pairs, ("light comes from one azimuth: fitted as an isotropic material",)
+    told = "light comes from several azimuths, and nothing says that the material is isotropic"
+    if model != "linear":
+        return pairs, (f"{told}: fitted as an isotropic one all the same; a linear model could follow another",)
+    if not isinstance(pairs, IsotropicBasis):
+        return pairs, (f"{told}: fitted as an isotropic material all the same, by {pairs}",)
+    full, used = HelmholtzBasis(pairs.basis), int(jnp.sum(samples.weight > 0))
+    if used > full.count:
+        return full, (f"{told}: fitted as an anisotropic one, by {full.count} functions",)
+    few = f"{used} samples do not determine {full.count} functions"
+    return pairs, (f"{told}, but {few}: fitted as an isotropic one; a lower order has fewer",)
 
 
 def _along_highlight(brdf: PairFunction) -> Samples:

@@ -10,12 +10,19 @@ from pathlib import Path
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A fresh path beside `path` for the body to write; renamed to `path` at the end, removed if the body raises."""
-    path = Path(path)
-    beside = path.with_name(f".{path.name}.{secrets.token_hex(6)}.partial")
+    """A fresh path beside `path` for the body to write; renamed to `path` at the end, removed if the body raises.
+
+    Where `path` is a symbolic link, what it points to is replaced. An OSError of the fresh path names `path`.
+    """
+    out = Path(os.path.realpath(path))
+    beside = _beside(out)
     try:
         yield beside
-        os.replace(beside, path)
+        os.replace(beside, out)
+    except OSError as error:
+        if error.filename == os.fspath(beside):
+            error.filename = os.fspath(path)
+        raise
     finally:
         beside.unlink(missing_ok=True)
 
@@ -27,7 +34,7 @@ def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
     Where `path` has files, those of the same names are replaced, one by one, and the others stay.
     """
     out = Path(path).resolve()
-    beside = out.with_name(f".{out.name}.{secrets.token_hex(6)}.partial")
+    beside = _beside(out)
     beside.mkdir()
     try:
         yield beside
@@ -38,3 +45,8 @@ def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
             os.replace(beside, out)
     finally:
         shutil.rmtree(beside, ignore_errors=not beside.exists())
+
+
+def _beside(path: Path) -> Path:
+    """A hidden name in the same folder, as short for long names as for others: file systems end them at 255 bytes."""
+    return path.with_name(f".hshjax-{secrets.token_hex(6)}.partial")

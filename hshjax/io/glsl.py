@@ -7,6 +7,7 @@ import equinox as eqx
 import numpy as np
 
 from hshjax.io._formula import Formula, Vector, formula, terms
+from hshjax.io._glsl_names import BUILT_IN, is_glsl_name
 from hshjax.io._replace import replacing
 
 INDENT = "    "
@@ -21,16 +22,18 @@ def glsl_source(brdf: eqx.Module, *, name: str = "hshjax_brdf", clamp: bool = Tr
     It returns ρ [sr^-1], the cosine not included, of unit directions in the local frame (normal +z), both away from the
     surface; 0 where one lies below the horizon. One channel is returned three times. Coefficients are constants of the
     text, which has one line for each: 165 for HSH of order 8, 50 for a compact model; no array, no loop, no branch but
-    that at the horizon. It needs `precision highp float`, and is as exact as that: some 1e-6 of the largest value.
+    that at the horizon. It needs `precision highp float`: tests in a browser hold it to 1e-4 of the value plus 1e-5 of
+    the model's largest one.
 
     - `brdf`: a `LinearBRDF`, an `ExpBRDF` or a `LogLinearBRDF` of one or three channels, over the bases that
       `hshjax.io.mitsuba.register` names.
     - `clamp`: negative values, which series of ρ may have, count as 0.
 
-    **Raises:** ValueError for other models and counts of channels, a `name` that is none in GLSL, and coefficients
-    beyond single precision.
+    **Raises:** ValueError for other models and counts of channels, a `name` that is none in GLSL or that the function
+    or its shader needs otherwise (a keyword, a type, a function of the language, `main`), and coefficients beyond
+    single precision.
     """
-    if not name.isidentifier() or not name.isascii() or name.startswith("gl_") or "__" in name:
+    if not is_glsl_name(name) or name in BUILT_IN or name == "main":
         raise ValueError(f"a function of GLSL cannot be called {name!r}")
     found = formula(brdf)
     if found.channels not in (1, 3):

@@ -12,7 +12,7 @@ from hshjax.brdfs._known import table_samples
 from hshjax.io import alta, astm, csv_samples, fred, merl, rgl, utia, zemax
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
-from hshjax.quadrature import PairRule, isotropic_pair_rule, pair_rule
+from hshjax.quadrature import ANISOTROPIC_DEGREE, PairRule, isotropic_pair_rule, pair_rule
 from hshjax.samples import Samples
 
 HEAD = 8192
@@ -20,10 +20,6 @@ HEAD = 8192
 
 DEGREE = 64
 """Of the rule that samples a table, unless another is given."""
-
-
-ANISOTROPIC = 16
-"""Of the rule that samples an anisotropic one, over both azimuths."""
 
 
 class Format(NamedTuple):
@@ -97,7 +93,7 @@ def read_samples(
         if rule is None and isinstance(data, AngleTable | HalfVectorTable):
             return data.node_samples(), found
         if rule is None:
-            rule = isotropic_pair_rule(DEGREE) if is_isotropic(data) else pair_rule(ANISOTROPIC)
+            rule = isotropic_pair_rule(DEGREE) if is_isotropic(data) else pair_rule(ANISOTROPIC_DEGREE)
         return table_samples(data, rule), found
     if rule is not None:
         raise ValueError(

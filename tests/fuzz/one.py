@@ -1,7 +1,6 @@
-"""One reader under random damage: `python -m tests.fuzz.one NAME SECONDS RUNS`."""
+"""One reader under random damage: `python -m tests.fuzz.one NAME SECONDS RUNS FOLDER`; FOLDER is to write in."""
 
 import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Callable
@@ -12,14 +11,28 @@ ROUND = 100
 """Examples that Hypothesis draws at once."""
 
 LARGEST = 2**16
-"""Bytes of an input."""
+"""Bytes of an input; twice those of the good file where that is larger."""
+
+FIXED = ("merl", "utia")
+"""Formats whose files have one size, or the header says which: another is refused before anything else is looked at."""
 
 
-def check(name: str, readers: tuple[Callable, ...], path: Path) -> Callable[[bytes], None]:
+def limit(name: str, content: bytes) -> int:
+    """Bytes of an input."""
+    return LARGEST if name in FIXED else max(LARGEST, 2 * len(content))
+
+
+def sized(name: str, good: bytes, changed: bytes) -> bytes:
+    """An input as a file: of formats of one size it replaces the beginning of the good file."""
+    return (changed + good[len(changed) :])[: len(good)] if name in FIXED else changed
+
+
+def check(name: str, good: bytes, readers: tuple[Callable, ...], path: Path) -> Callable[[bytes], None]:
     """What an input must pass: AssertionError where a reader does what it must not do, after keeping the input."""
     from tests.io.hostile_process import wrong
 
-    def passes(content: bytes) -> None:
+    def passes(changed: bytes) -> None:
+        content = sized(name, good, changed)
         path.write_bytes(content)
         for read in readers:
             fault = wrong(read, path)
@@ -32,29 +45,29 @@ def check(name: str, readers: tuple[Callable, ...], path: Path) -> Callable[[byt
     return passes
 
 
-def led(name: str, seconds: int, runs: int) -> None:
+def led(name: str, seconds: int, runs: int, folder: Path) -> None:
     """By coverage. Ends the process."""
     import atheris
 
     with atheris.instrument_imports(include=["hshjax.io"]):
         import hshjax.io  # noqa: F401
 
-    content, readers, folder = prepared(name)
-    corpus = Path(folder) / "corpus"
+    content, readers = prepared(name, folder)
+    largest, corpus = limit(name, content), folder / "corpus"
     corpus.mkdir()
-    (corpus / "seed").write_bytes(content)
-    limits = [f"-max_total_time={seconds}", f"-runs={runs}", "-timeout=10", "-rss_limit_mb=4096"]
-    passes = check(name, readers, Path(folder) / "file")
-    atheris.Setup([sys.argv[0], *limits, f"-max_len={LARGEST}", "-artifact_prefix=/dev/null", str(corpus)], passes)
+    (corpus / "seed").write_bytes(content[:largest])
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", "-timeout=10", "-rss_limit_mb=0"]
+    passes = check(name, content, readers, folder / "file")
+    atheris.Setup([sys.argv[0], *limits, f"-max_len={largest}", "-artifact_prefix=/dev/null", str(corpus)], passes)
     atheris.Fuzz()
 
 
-def drawn(name: str, seconds: int, runs: int) -> None:
+def drawn(name: str, seconds: int, runs: int, folder: Path) -> None:
     """By Hypothesis: pieces of the good file, replaced, repeated or left out."""
     from hypothesis import HealthCheck, given, seed, settings, strategies as st
 
-    content, readers, folder = prepared(name)
-    passes, end, count = check(name, readers, Path(folder) / "file"), time.monotonic() + seconds, 0
+    content, readers = prepared(name, folder)
+    passes, end, count = check(name, content, readers, folder / "file"), time.monotonic() + seconds, 0
     word = st.one_of(
         st.binary(max_size=16),
         st.sampled_from([b"\xff\xff\xff\x7f", b"\xff" * 8, bytes(8), b"nan", b"-1", b"1e999", b"\n", b",", b"0" * 400]),
@@ -72,34 +85,35 @@ def drawn(name: str, seconds: int, runs: int) -> None:
             for at, length, new, times in damages:
                 at = min(at, len(changed))
                 changed = changed[:at] + new * times + changed[at + length :]
-            passes(changed[:LARGEST])
+            passes(changed[: limit(name, content)])
 
         run()
         count += ROUND
     print(f"Done {count} runs, drawn by Hypothesis")
 
 
-def prepared(name: str) -> tuple[bytes, tuple[Callable, ...], str]:
-    """The good file, its readers, which have read it once, and a folder to write in, in memory where there is one."""
+def prepared(name: str, folder: Path) -> tuple[bytes, tuple[Callable, ...]]:
+    """The good file and its readers, which have read it once; memory is limited from then on."""
     import jax
 
+    from tests.io.hostile_process import limit_memory
     from tests.io.seeds import seeds
 
     jax.config.update("jax_enable_x64", True)
     content, readers = seeds()[name]
-    folder = tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
-    path = Path(folder) / "file"
+    path = folder / "file"
     path.write_bytes(content)
     for read in readers:
         read(path)
-    return content, readers, folder
+    limit_memory()
+    return content, readers
 
 
 if __name__ == "__main__":
-    name, seconds, runs = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    name, seconds, runs, folder = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
     try:
         import atheris  # noqa: F401
     except ImportError:
-        drawn(name, seconds, runs)
+        drawn(name, seconds, runs, folder)
     else:
-        led(name, seconds, runs)
+        led(name, seconds, runs, folder)

@@ -1,8 +1,7 @@
 """What happens to files: cut off, flipped bits, other encodings, numbers that are none.
 
 `hostile_variants` makes the table from the bytes of a good file, text or not; `outcome` reads one and holds what every
-reader of the library owes: a FileFormatError of one sentence that names the file, or samples that are sound, within a
-second.
+reader of the library owes: a FileFormatError of one sentence that names the file, or something sound, within a second.
 """
 
 import re
@@ -10,9 +9,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import numpy as np
 
+from hshjax.brdfs import AbstractBRDF, AngleTable, HalfVectorTable
 from hshjax.io import FileFormatError
+from hshjax.io.measured import Measured
+from hshjax.io.read_material import Material
+from hshjax.photographs import Photographs
 from hshjax.samples import Samples
 
 PARTS = 64
@@ -20,6 +24,9 @@ NUMBER = re.compile(rb"(?<![\w.])[+-]?\d+\.\d+(?:[eE][+-]?\d+)?(?![\w.])")
 NOT_FINITE = ("nan", "inf", "-inf", "1e999")
 SECONDS = 1.0
 """Of processor time, far more than the milliseconds that a small file takes."""
+
+LENGTH = 1000
+"""Characters of a sentence, the path among them."""
 
 SAME = ("CRLF", "UTF-8 with its mark")
 """Variants of a text file that are as good as the file."""
@@ -84,36 +91,65 @@ def _text_variants(content: bytes, rng: np.random.Generator) -> dict[str, bytes]
     return variants
 
 
-def outcome(read: Callable[[Path], object], path: Path, content: bytes) -> object:
-    """What a reader makes of a file with this content: what it returns, or the FileFormatError that it raises.
+def outcome(read: Callable[[Path], object], path: Path, content: bytes | None = None) -> object:
+    """What a reader makes of a file, with this content if it is given: what it returns, or the FileFormatError.
 
-    Any other exception passes through, as the failure that it is. Samples are checked by `assert_sound`.
+    Any other exception passes through, as the failure that it is. What it returns must be sound: see `assert_sound`.
     """
-    path.write_bytes(content)
+    if content is not None:
+        path.write_bytes(content)
     begin = time.process_time()
     try:
         result = read(path)
     except FileFormatError as error:
         message = str(error)
-        assert message.startswith(f"{path}: ")
-        assert "\n" not in message
-        assert "expected" in message
+        assert message.startswith(f"{path}: "), message
+        assert "\n" not in message, repr(message)
+        assert "expected" in message, message
+        assert len(message) < LENGTH, message[:300]
         result = error
-    assert time.process_time() - begin < SECONDS
-    if isinstance(result, Samples):
+    seconds = time.process_time() - begin
+    assert seconds < SECONDS, f"{seconds:.2f} s"
+    if not isinstance(result, FileFormatError):
         assert_sound(result)
     return result
 
 
-def assert_sound(samples: Samples) -> None:
-    """At least one; finite, unit, above the horizon, of weights that are none or some."""
-    wi, wo, value, weight = (np.asarray(a) for a in (samples.wi, samples.wo, samples.value, samples.weight))
-    assert samples.size > 0
-    assert all(np.all(np.isfinite(a)) for a in (wi, wo, value, weight))
-    for w in (wi, wo):
-        np.testing.assert_allclose(np.linalg.norm(w, axis=1), 1, atol=1e-5)
-        assert np.all(w[:, 2] > 0)
-    assert np.all(weight >= 0)
+def assert_sound(result: object) -> None:
+    """What a reader owes of anything that it returns; a type that is not known here fails.
+
+    Samples: at least one; finite, unit, above the horizon, of weights that are none or some. Tables: finite where
+    measured, which is somewhere; other BRDFs: finite arrays. Photographs: NaN is unknown, nothing is infinite,
+    something is known. Images, arrays and tensors are as they are stored, whatever that is: some, of numbers.
+    """
+    if isinstance(result, Measured | Material):
+        result = result.data
+    if isinstance(result, Samples):
+        wi, wo, value, weight = (np.asarray(a) for a in (result.wi, result.wo, result.value, result.weight))
+        assert result.size > 0, "no samples"
+        assert all(np.all(np.isfinite(a)) for a in (wi, wo, value, weight)), "samples that are not finite"
+        for w in (wi, wo):
+            np.testing.assert_allclose(np.linalg.norm(w, axis=1), 1, atol=1e-5)
+            assert np.all(w[:, 2] > 0), "a direction below the horizon"
+        assert np.all(weight >= 0), "a negative weight"
+    elif isinstance(result, HalfVectorTable | AngleTable):
+        values = np.asarray(result.values)
+        there = np.ones(values.shape[:-1], bool) if result.measured is None else np.asarray(result.measured)
+        assert there.any(), "no node is measured"
+        assert np.all(np.isfinite(values[there])), "a measured node is not finite"
+    elif isinstance(result, AbstractBRDF):
+        for leaf in jax.tree.leaves(result):
+            assert np.all(np.isfinite(np.asarray(leaf))), "an array of the model is not finite"
+    elif isinstance(result, Photographs):
+        assert not np.any(np.isinf(result.values)), "an infinite value"
+        assert np.any(np.isfinite(result.values)), "nothing is known"
+        for leaf in jax.tree.leaves(result.lights):
+            assert np.all(np.isfinite(np.asarray(leaf))), "a light is not finite"
+    else:
+        for array in result.values() if isinstance(result, dict) else [result]:
+            assert isinstance(array, np.ndarray), f"a {type(array).__name__}"
+            assert array.dtype.kind in "uif", array.dtype
+            assert array.size or isinstance(result, dict), "an empty array"
 
 
 def rows(samples: Samples) -> list[tuple[float, ...]]:

@@ -15,6 +15,9 @@ from hshjax.io.glsl import glsl_source, write_glsl
 from tests.helpers import DTYPE, X64, directions
 from tests.io.renderers import linear, models
 
+RESERVED = ("float", "vec3", "mat4x3", "usampler2DArray", "if", "precision", "true", "double", "union", "main", "max")
+"""Of GLSL ES 3.00: types, keywords, words kept for later, what a shader or this function needs."""
+
 MODELS = models() | {
     "hsh 12": linear(bases.IsotropicBasis(bases.HSH(12))),
     "fitted": hshjax.LogLinearBRDF(bases.HalfVectorBasis(3), [np.asarray([-1.0, -2.0, 0.5], DTYPE)] * 3),
@@ -137,7 +140,7 @@ def test_text_says_what_it_is_and_goes_to_a_file(tmp_path):
     assert text.count("series += vec3(") == 30
 
 
-@pytest.mark.parametrize("name", ["2d", "gl_brdf", "a__b", "a b", "größe", ""])
+@pytest.mark.parametrize("name", ["2d", "gl_brdf", "a__b", "a b", "größe", "", *RESERVED])
 def test_names_that_are_none_are_refused(name):
     with pytest.raises(ValueError, match="cannot be called"):
         glsl_source(MODELS["hsh"], name=name)

@@ -12,7 +12,7 @@ from hshjax import GGX, HSH, IsotropicBasis, Lambert, LinearBRDF
 from hshjax.geometry import from_half_difference
 from hshjax.io import FileFormatError, measured_merl, merl, read_merl, write_merl
 from tests.helpers import DTYPE, X64, assert_close
-from tests.io.hostile_binary import binary_variants, refused, replaced, sparse, written
+from tests.io.hostile_binary import placed_variants, refused, replaced, sparse, written
 
 STEPS = (4, 3, 6)
 SCALES = np.array([1, 1.15, 1.66]) / 1500
@@ -126,7 +126,7 @@ def test_what_a_writer_refuses(tmp_path):
 
 
 CONTENT = packed(planes())
-VARIANTS = binary_variants(CONTENT, counts={"theta_h": 0, "theta_d": 4, "phi_d": 8}, numbers=(12, len(CONTENT) - 8))
+VARIANTS = placed_variants(CONTENT, counts={"theta_h": 0, "theta_d": 4, "phi_d": 8}, numbers=(12, len(CONTENT) - 8))
 
 
 def test_hostile_files_are_read_or_refused(tmp_path):

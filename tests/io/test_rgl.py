@@ -24,7 +24,7 @@ from hshjax.io import (
 )
 from hshjax.quadrature import isotropic_pair_rule
 from tests.helpers import DTYPE, X64, assert_close, directions
-from tests.io.hostile_binary import binary_variants, refused, sparse, written
+from tests.io.hostile_binary import placed_variants, refused, sparse, written
 from tests.io.measured_reference import CASES, FILE, pairs, tables
 from tests.io.tensor_files import material, packed
 
@@ -290,7 +290,7 @@ def test_gigabytes_of_nothing(tmp_path):
 
 
 def test_hostile_files_are_read_or_refused(tmp_path):
-    for name, content in binary_variants(CONTENT, counts={"fields": 14}).items():
+    for name, content in placed_variants(CONTENT, counts={"fields": 14}).items():
         error = refused(read_rgl, written(tmp_path / "a.bsdf", content))
         if name.startswith("fields") or name == "empty" or (name.startswith("cut") and int(name[7:-3]) < 60):
             assert error is not None, name

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from hshjax.io import FileFormatError, read_tensor_file, write_tensor_file
-from tests.io.hostile_binary import binary_variants, refused, sparse, written
+from tests.io.hostile_binary import placed_variants, refused, sparse, written
 from tests.io.tensor_files import CODES, packed
 
 TENSORS = {
@@ -55,7 +55,7 @@ def test_gigabytes_of_nothing(tmp_path):
 
 
 def test_hostile_files_are_read_or_refused(tmp_path):
-    for name, content in binary_variants(packed(TENSORS), counts={"fields": 14}).items():
+    for name, content in placed_variants(packed(TENSORS), counts={"fields": 14}).items():
         error = refused(read_tensor_file, written(tmp_path / "a", content))
         if name.startswith("fields") and name != "fields = 0":
             assert error is not None, name

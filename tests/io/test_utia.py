@@ -7,7 +7,7 @@ import pytest
 from hshjax.geometry import direction
 from hshjax.io import measured_utia, read_utia, utia
 from tests.helpers import DTYPE, X64, assert_close
-from tests.io.hostile_binary import binary_variants, refused, sparse, written
+from tests.io.hostile_binary import placed_variants, refused, sparse, written
 
 SIZE = 3 * 288 * 288 * 8
 
@@ -58,7 +58,7 @@ def test_negative_values(tmp_path):
 
 def test_hostile_files_are_read_or_refused(path):
     content = path.read_bytes()
-    variants = binary_variants(content, numbers=(0, SIZE - 8), flips=24)
+    variants = placed_variants(content, numbers=(0, SIZE - 8), flips=24)
     del variants["zeros"]  # which are values like others
     for name, changed in variants.items():
         error = refused(read_utia, written(path, changed))

@@ -1,0 +1,38 @@
+"""What is written lands under its name at once, wherever that name leads."""
+
+import os
+
+import pytest
+
+from hshjax.io._replace import replacing, replacing_folder
+
+
+@pytest.mark.parametrize("name", ["a", "a" * 255, "ä" * 127], ids=["short", "255 bytes", "254 bytes"])
+def test_names_as_long_as_a_file_system_allows(name, tmp_path):
+    with replacing(tmp_path / name) as beside:
+        beside.write_text("new")
+    assert (tmp_path / name).read_text() == "new"
+    with replacing_folder(tmp_path / ("b" + name[1:])) as beside:
+        (beside / name).write_text("new")
+    assert [path.name for path in (tmp_path / ("b" + name[1:])).iterdir()] == [name]
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_a_link_stays_one_and_its_file_is_replaced(there, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    file, link = tmp_path / "elsewhere" / "file", tmp_path / "link"
+    if there:
+        file.write_text("old")
+    link.symlink_to("elsewhere/file")
+    with replacing(link) as beside:
+        beside.write_text("new")
+    assert link.is_symlink()
+    assert file.read_text() == "new"
+    assert os.listdir(tmp_path / "elsewhere") == ["file"]
+
+
+def test_an_error_names_what_was_to_be_written(tmp_path):
+    path = tmp_path / "no" / "file"
+    with pytest.raises(FileNotFoundError) as caught, replacing(path) as beside:
+        beside.write_text("new")
+    assert caught.value.filename == str(path)
