@@ -102,7 +102,6 @@ def fit_material(
             found = project(pairs, samples, norm=norm, ridge=ridge, prior=prior, constraints=constraints)
         else:
             found = project_by_moments(pairs, samples, norm=norm, ridge=ridge, prior=prior)
-        return MaterialFit(found.model, samples, found)
         return MaterialFit(found.model, samples, found, notes)
     if model == "compact":
         compact = fit_compact(samples if isinstance(data, Samples) else _along_highlight(data), coefficients)
