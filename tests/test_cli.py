@@ -20,7 +20,7 @@ from hshjax.io.merl import write_merl
 from hshjax.metrics import albedo
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
-from tests.helpers import X64, slow_unless
+from tests.helpers import X64, mostly_slow, slow_unless
 
 
 def run(*arguments):
@@ -69,6 +69,7 @@ def test_other_models_are_fitted_step_by_step(model, tmp_path, kind, what):
     assert isinstance(load_model(out), what)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="the command computes in float64")
 def test_a_compact_model_is_fitted_and_described(model, tmp_path):
     out = tmp_path / "compact.hshjax"
@@ -285,7 +286,9 @@ def test_a_table_of_a_goniometer_is_fitted(tmp_path, kind):
     assert np.all(np.isfinite(np.asarray(fitted(grazing, grazing))))
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".binary", ".bsdf", ".glsl", ".exr", ".hshjax"])
+@pytest.mark.parametrize(
+    "suffix", mostly_slow([".csv", ".binary", ".bsdf", ".glsl", ".exr", ".hshjax"], {".glsl", ".csv"})
+)
 def test_a_model_is_converted(tmp_path, suffix):
     """What is written is read again, and is the same material as far as the format goes."""
     source, target = tmp_path / "paint.hshjax", tmp_path / f"out{suffix}"
