@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hshjax import GGX, Lambert
-from hshjax.brdfs import HalfVectorTable, RGLTable
+from hshjax.brdfs import AbstractBRDF, HalfVectorTable, RGLTable
 from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._known import known, table_samples
 from hshjax.cli import app
@@ -141,10 +141,15 @@ def test_a_hole_is_filled_and_marked_in_rgl(holed, tmp_path):
         write_rgl(tmp_path / "b.bsdf", nothing, slices=3, size=4)
 
 
-def test_anisotropic_materials_are_sampled_over_both_azimuths(tmp_path):
-    def weave(wi, wo):
+class Weave(AbstractBRDF):
+    """Which changes with the azimuth of the light alone."""
+
+    def formula(self, wi, wo):
         return (2 + jnp.sin(2 * jnp.arctan2(wi[..., 1], wi[..., 0])))[..., None]
 
+
+def test_anisotropic_materials_are_sampled_over_both_azimuths(tmp_path):
+    weave = Weave()
     write_material(tmp_path / "a.csv", weave, degree=4)
     samples = read_csv_samples(tmp_path / "a.csv")
     assert not samples.isotropic
@@ -261,7 +266,7 @@ def steep():
     values = np.ones((90, 90, 4, 1))
     values[0] = 10
     return HalfVectorTable(
-        *(jnp.asarray(part, DTYPE) for part in (values, theta_h, theta_d, phi_d)), channel_names=("Y",)
+        *(jnp.asarray(part, float) for part in (values, theta_h, theta_d, phi_d)), channel_names=("Y",)
     )
 
 
