@@ -66,9 +66,16 @@ def from_half_difference(theta_h: Real, theta_d: Real, phi_d: Real) -> tuple[Rea
     cos, sin = jnp.cos(theta_h), jnp.sin(theta_h)
 
     def lifted(d):
-        return jnp.stack([cos * d[..., 0] + sin * d[..., 2], d[..., 1], cos * d[..., 2] - sin * d[..., 0]], axis=-1)
+        return jnp.stack(tilted(cos, sin, d[..., 0], d[..., 1], d[..., 2]), axis=-1)
 
     return lifted(direction(theta_d, phi_d)), lifted(direction(theta_d, phi_d + jnp.pi))
+
+
+def tilted(cos, sin, x, y, z):
+    """Components of (x, y, z) after a turn about y that takes the normal to a half vector at φ_h = 0, of cos θ_h and
+    sin θ_h: from the frame of the half vector to the local one. Arrays of numpy, or of jax, that broadcast.
+    """
+    return cos * x + sin * z, y, cos * z - sin * x
 
 
 def dot(a: Float[Array, "*batch 3"], b: Float[Array, "*batch 3"]) -> Float[Array, " *batch"]:

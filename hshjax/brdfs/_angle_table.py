@@ -8,7 +8,7 @@ from jax.core import Tracer
 
 from hshjax._fields import floating
 from hshjax._typing import Array, Bool, Float
-from hshjax.brdfs._cells import arcs, cell, check_nodes, interpolated, periodic_cell, walls
+from hshjax.brdfs._cells import GRAZING, arcs, cell, check_nodes, interpolated, periodic_cell, walls
 from hshjax.brdfs._tabulated import TabulatedBRDF
 from hshjax.geometry import direction
 from hshjax.samples import Samples
@@ -21,7 +21,8 @@ class AngleTable(TabulatedBRDF):
     - `theta_i`, `theta_o`: from the normal, rising, in [0, π/2], two or more; `phi_i`, `phi_o`: from +x, rising, in
       [0, 2π), one or more. All in radians. They are no parameters: their derivative is 0.
     - `measured`: optional, `values` without channels, which nodes hold a value; between nodes the weights of the
-      measured ones are scaled to a sum of 1, and where a cell has none the BRDF is 0.
+      measured ones are scaled to a sum of 1. Where a cell has none, and at a node that was not measured (up to 1/10000
+      of a cell), nothing is known and the BRDF is 0.
 
     Beyond the first and last elevation the nearest one holds: the BRDF is constant there, which a line through the last
     two nodes would soon take below 0. At the normal, within rounding, φ counts as 0 and derivatives are 0. The values
@@ -70,7 +71,7 @@ class AngleTable(TabulatedBRDF):
             sin = np.sin(theta)[:, None]
             z = np.broadcast_to(np.cos(theta)[:, None], (theta.size, phi.size))
             sides.append(np.stack([sin * np.cos(phi), sin * np.sin(phi), z], axis=-1))
-        used = (sides[0][..., 2] > 1e-6)[:, :, None, None] & (sides[1][..., 2] > 1e-6)
+        used = (sides[0][..., 2] > GRAZING)[:, :, None, None] & (sides[1][..., 2] > GRAZING)
         if self.measured is not None:
             used &= np.asarray(self.measured)
         i, p, o, q = np.nonzero(used)

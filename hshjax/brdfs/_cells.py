@@ -8,6 +8,12 @@ import numpy as np
 
 from hshjax._typing import Array, Bool, Float, Int, Real
 
+GRAZING = 1e-6
+"""Cosine up to which a direction counts as on the horizon: 90 degrees in float32, or with six digits in radians."""
+
+AT_NODE = 1e-4
+"""Share of a cell, up to which a place counts as at the node itself: float32 knows a place in a cell to 1e-5."""
+
 End = tuple[Int[Array, " n"], Float[Array, " n"]]
 """An index a place, and its weight."""
 
@@ -36,25 +42,27 @@ def interpolated(
 ) -> Float[Array, "n channels"]:
     """Σ weight x value over the corners of cells, `ends` being those along every axis of the grid.
 
-    With `measured`, over the corners that are, the weights scaled to a sum of 1; 0 where none is.
+    With `measured`, over the corners that are, the weights scaled to a sum of 1; 0 where none is, or only ones whose
+    weight along an axis is none but for rounding: see `AT_NODE`.
     """
     first = ends[0][0][1]
     total = jnp.zeros((first.size, values.shape[-1]), first.dtype)
-    found = jnp.zeros(first.size, first.dtype)
+    found, within = jnp.zeros(first.size, first.dtype), jnp.zeros(first.size, bool)
     for corner in product(*ends):
         index = tuple(where for where, _ in corner)
-        weight = corner[0][1]
+        weight = least = corner[0][1]
         for _, part in corner[1:]:
-            weight = weight * part
+            weight, least = weight * part, jnp.minimum(least, part)
         value = values[index]
         if measured is not None:
             there = measured[index]
             weight, value = jnp.where(there, weight, 0), jnp.where(there[:, None], value, 0)
             found += weight
+            within |= there & (least > AT_NODE)
         total += weight[:, None] * value
     if measured is None:
         return total
-    return jnp.where(found[:, None] > 0, total / jnp.where(found > 0, found, 1)[:, None], 0)
+    return jnp.where(within[:, None], total / jnp.where(within, found, 1)[:, None], 0)
 
 
 def walls(nodes: np.ndarray, end: float) -> np.ndarray:

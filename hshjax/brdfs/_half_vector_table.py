@@ -10,12 +10,10 @@ from hshjax._fields import floating
 from hshjax._typing import Array, Bool, Float
 from hshjax.bases import IdentityWarp
 from hshjax.bases._half_vector import half_chart
-from hshjax.brdfs._cells import arcs, cell, check_nodes, interpolated, periodic_cell, root, walls
+from hshjax.brdfs._cells import GRAZING, arcs, cell, check_nodes, interpolated, periodic_cell, root, walls
 from hshjax.brdfs._tabulated import TabulatedBRDF
+from hshjax.geometry import tilted
 from hshjax.samples import Samples
-
-GRAZING = 1e-6
-"""Cosine up to which a direction of a node counts as on the horizon."""
 
 
 class HalfVectorTable(TabulatedBRDF):
@@ -36,7 +34,9 @@ class HalfVectorTable(TabulatedBRDF):
     The grid of a MERL file is (i/90)² π/2, i degrees, i degrees: 90 x 90 x 180 nodes.
 
     - `measured`: optional, `(theta_h, theta_d, phi_d)`, which nodes hold a value. Of the others nothing is read:
-      between nodes the weights of the measured ones are scaled to a sum of 1, and where a cell has none the BRDF is 0.
+      between nodes the weights of the measured ones are scaled to a sum of 1. Where a cell has none, and at a node that
+      was not measured itself, whatever is around it, nothing is known and the BRDF is 0. "At" is up to 1/10000 of a
+      cell, along each axis: rounding does not decide.
 
     **Raises:** ValueError for values that do not fit the nodes, or nodes out of order or range.
 
@@ -157,9 +157,7 @@ def _node_directions(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
     x, y, z = np.sin(d) * np.cos(f), np.sin(d) * np.sin(f), np.cos(d)
     out = np.empty((2, theta_h.size, theta_d.size, phi_d.size, 3))
     for w, sign in zip(out, (1, -1), strict=True):
-        w[..., 0] = sign * np.cos(h) * x + np.sin(h) * z
-        w[..., 1] = sign * y
-        w[..., 2] = np.cos(h) * z - sign * np.sin(h) * x
+        w[..., 0], w[..., 1], w[..., 2] = tilted(np.cos(h), np.sin(h), sign * x, sign * y, z)
     return out[0], out[1]
 
 

@@ -5,13 +5,20 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Bool, Float, PairFunction
 from hshjax.brdfs._angle_table import AngleTable
+from hshjax.brdfs._base import ScaledBRDF, SumBRDF
 from hshjax.brdfs._half_vector_table import HalfVectorTable
 from hshjax.quadrature import PairRule
 from hshjax.samples import Samples
 
 
 def known(brdf: PairFunction, wi: Float[Array, "n 3"], wo: Float[Array, "n 3"]) -> Bool[Array, " n"]:
-    """Whether a BRDF has a value at pairs: a table, which is 0 where all nodes around are missing, has none."""
+    """Whether a BRDF has a value at pairs: a table, which is 0 at nodes that were not measured and in cells without
+    any, has none there; a sum has one where all its terms have. Everything else has values everywhere.
+    """
+    if isinstance(brdf, SumBRDF):
+        return known(brdf.a, wi, wo) & known(brdf.b, wi, wo)
+    if isinstance(brdf, ScaledBRDF):
+        return known(brdf.brdf, wi, wo)
     if not isinstance(brdf, AngleTable | HalfVectorTable) or brdf.measured is None:
         return jnp.ones(wi.shape[0], bool)
     # Interpolation scales the weights of measured nodes to a sum of 1: a table of ones is 1 where there are any.

@@ -92,8 +92,8 @@ class RGLTable(TabulatedBRDF):
         kept in the default float of the caller's configuration.
         """
         density = np.asarray(vndf, np.float64)
-        conditional = _cumulative(density)
-        marginal = _cumulative(conditional[..., -1])
+        conditional = cumulative(density)
+        marginal = cumulative(conditional[..., -1])
         total = marginal[:, -1]
         dtype = jnp.result_type(float)
         return cls(
@@ -180,7 +180,7 @@ def _total(parts: Iterable[Real]) -> Real:
     return reduce(operator.add, parts)  # `sum` begins with the integer 0
 
 
-def _cumulative(density: np.ndarray) -> np.ndarray:
+def cumulative(density: np.ndarray) -> np.ndarray:
     """Trapezoid sums along the last axis, unit spacing, beginning at 0."""
     out = np.zeros(density.shape)
     np.cumsum((density[..., 1:] + density[..., :-1]) / 2, axis=-1, out=out[..., 1:])

@@ -17,15 +17,22 @@ def convert(
     to: Annotated[str | None, typer.Option(help="Format of the target: one of those below, by its suffix.")] = None,
     negatives: Negatives = "keep",
     degree: Annotated[
-        int, typer.Option(min=2, max=512, help="Of the rule that samples a model, where samples are written.")
-    ] = 64,
+        int | None,
+        typer.Option(
+            min=2,
+            max=512,
+            help="Of the rule that samples a material, where samples are written; 64, of anisotropic ones 16.",
+        ),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Write a material in another format.
 
     .binary (MERL), .bsdf (RGL), .csv (samples), .glsl (a function for shaders, of a fitted model), .hshjax (a model or
-    a table), .exr (its slice over half and difference angle; alpha is 0 where nothing was measured).
+    a table), .exr (its slice over half and difference angle; alpha is 0 where nothing was measured). A single channel
+    is grey, and becomes R, G and B where a format has only these; channels named by wavelengths ("650 nm") become a
+    spectral .bsdf.
 
     Examples:
 
@@ -49,11 +56,11 @@ def convert(
         raise Misuse(f"{error}, {SLICE} ({SLICED})") from error
     check_targets(target, force=force, sources=(source,))
     with complaints.status("reading"):
-        data, _ = read_material(source, negatives=negatives)
-    figures = Figures()
+        data, found = read_material(source, negatives=negatives)
+    figures, notes = Figures(), ()
     with complaints.status("writing"):
         if not sliced:
-            write_material(target, data, to=suffix, degree=degree, negatives=negatives)
+            notes = write_material(target, data, found=found, to=suffix, degree=degree, negatives=negatives)
         elif isinstance(data, Samples):
             raise failure(
                 f"{source}: scattered samples have no value between them; hshjax fit it, and convert the model"
@@ -66,6 +73,8 @@ def convert(
             plotting.write_picture(target, image, suffix=SLICE)
     figures.add("format", suffix, words=f"{suffix}, {SLICED if sliced else WRITERS[suffix].words}")
     figures.add("bytes", target.stat().st_size)
+    if notes:
+        figures.add("notes", notes, words="\n".join(notes))
     figures.show(f"{source.name} → {target.name}", as_json=as_json)
     if not as_json:
         console.print(f"file: {target}", soft_wrap=True)

@@ -5,6 +5,8 @@ A reader makes unit vectors `(n, 3)` in the local frame (normal +z) that point a
 
 import numpy as np
 
+from hshjax.geometry import tilted
+
 
 def polar(theta: np.ndarray, phi: np.ndarray | float) -> np.ndarray:
     """Unit vectors at θ from the normal and φ from +x towards +y; θ < 0 is |θ| at φ + π."""
@@ -24,7 +26,7 @@ def from_half_and_difference(theta_h: np.ndarray, phi_h: np.ndarray, d: np.ndarr
     d for wi; of a reciprocal material φ_d and φ_d + π are the same.)
     """
     sin_h, cos_h, sin_p, cos_p = np.sin(theta_h), np.cos(theta_h), np.sin(phi_h), np.cos(phi_h)
-    x, y, z = cos_h * d[:, 0] + sin_h * d[:, 2], d[:, 1], -sin_h * d[:, 0] + cos_h * d[:, 2]
+    x, y, z = tilted(cos_h, sin_h, *d.T)
     wo = np.stack([cos_p * x - sin_p * y, sin_p * x + cos_p * y, z], axis=-1)
     return 2 * d[:, 2:] * polar(theta_h, phi_h) - wo, wo
 

@@ -14,8 +14,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float, PairFunction
+from hshjax._typing import Array, Bool, Float, PairFunction
 from hshjax.brdfs._isotropy import is_isotropic
+from hshjax.brdfs._known import known
+from hshjax.brdfs._rgl_table import cumulative
 from hshjax.metrics import with_channels
 
 ELEVATIONS, AZIMUTHS = 192, 64
@@ -34,9 +36,10 @@ LAST = np.radians(89.0)
 def resampled(brdf: PairFunction, slices: int, size: int) -> dict[str, np.ndarray]:
     """The tables by name, `values` `(slices, channels, size, size)` for either name that channels may have; float32.
 
-    Values [sr^-1, with the cosine of wo] are 0 where wo lies on or below the horizon, as ρ cos θ_o is on it.
+    Values [sr^-1, with the cosine of wo] are 0 where wo lies on or below the horizon, as ρ cos θ_o is on it. `filled`
+    `(slices, size, size)`: where the BRDF has no value (see `known`) and that of the nearest place stands.
 
-    **Raises:** ValueError for an anisotropic BRDF or values that are not finite.
+    **Raises:** ValueError for an anisotropic BRDF, values that are not finite, or an angle of incidence without any.
     """
     with jax.enable_x64(True):
         if not is_isotropic(brdf):
@@ -46,10 +49,12 @@ def resampled(brdf: PairFunction, slices: int, size: int) -> dict[str, np.ndarra
         theta_i = np.linspace(0, LAST, slices).astype(np.float32)
         densities = np.stack([_visible(ndf, theta, float(t)) for t in theta_i])
         s = np.linspace(0, 1, size)
-        values = []
+        values, filled = [], []
         for t, density in zip(theta_i.astype(np.float64), densities.astype(np.float64), strict=True):
             u_theta, u_phi = sampled(density, s)
-            values.append(_slice(brdf, t, u_theta, u_phi, ndf, sigma))
+            value, missing = _slice(brdf, t, u_theta, u_phi, ndf, sigma)
+            values.append(value)
+            filled.append(missing)
     table = np.moveaxis(np.stack(values), -1, 1).astype(np.float32)
     luminance = np.maximum(table.mean(axis=1), 0)
     luminance += 1e-3 * luminance.mean(axis=(1, 2), keepdims=True) + np.finfo(np.float32).tiny
@@ -60,6 +65,7 @@ def resampled(brdf: PairFunction, slices: int, size: int) -> dict[str, np.ndarra
         "vndf": densities[None],
         "luminance": luminance[None],
         "values": table[None],
+        "filled": np.stack(filled),
     }
 
 
@@ -67,7 +73,11 @@ def _distribution(brdf: PairFunction, theta: np.ndarray) -> tuple[np.ndarray, np
     """D and σ at elevations, float32, D with ∫ D cos θ dω = 1."""
     lit = np.minimum(theta, LAST)
     w = jnp.asarray(np.stack([np.sin(lit), np.zeros_like(lit), np.cos(lit)], axis=-1))
-    back = np.maximum(_finite(np.asarray(_evaluate(brdf, w, w)), "towards the light"), 0).mean(axis=1) * np.cos(lit)
+    value, there = map(np.asarray, _evaluate(brdf, w, w))
+    if not there.any():
+        raise ValueError("this BRDF has no value towards the light at any angle: fit its samples, and write the model")
+    back = np.maximum(_finite(value, there, "towards the light"), 0).mean(axis=1) * np.cos(lit)
+    back = np.interp(theta, theta[there], back[there])  # D need not be exact
     u = np.linspace(0, 1, theta.size)
     weight = 2 * np.pi**2 * u * np.sin(theta) * _trapezoid(theta.size)  # dω = 2π² u sin θ du dv
     azimuth = np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
@@ -99,23 +109,17 @@ def sampled(density: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     of the elevation given it.
     """
     rows, columns = density.shape
-    conditional = _cumulative(density)
-    marginal = _cumulative(conditional[:, -1])
+    conditional = cumulative(density)
+    marginal = cumulative(conditional[:, -1])
     u_theta, u_phi = np.empty((2, s.size, s.size))
     for k, part in enumerate(s * marginal[-1]):
         j, y = _inverse(marginal, conditional[:, -1], np.array([part]))
         j, y = int(j[0]), float(y[0])
         line = (1 - y) * density[j] + y * density[j + 1]
-        cumulative = (1 - y) * conditional[j] + y * conditional[j + 1]
-        i, x = _inverse(cumulative, line, s * cumulative[-1])
+        mass = (1 - y) * conditional[j] + y * conditional[j + 1]
+        i, x = _inverse(mass, line, s * mass[-1])
         u_theta[k], u_phi[k] = (i + x) / (columns - 1), (j + y) / (rows - 1)
     return u_theta, u_phi
-
-
-def _cumulative(density: np.ndarray) -> np.ndarray:
-    out = np.zeros(density.shape)
-    np.cumsum((density[..., 1:] + density[..., :-1]) / 2, axis=-1, out=out[..., 1:])
-    return out
 
 
 def _inverse(cumulative: np.ndarray, density: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,24 +132,38 @@ def _inverse(cumulative: np.ndarray, density: np.ndarray, target: np.ndarray) ->
 
 def _slice(
     brdf: PairFunction, theta_i: float, u_theta: np.ndarray, u_phi: np.ndarray, ndf: np.ndarray, sigma: np.ndarray
-) -> np.ndarray:
-    """ρ cos θ_o 4 σ(wi) / D(m) at half vectors m, `(rows, columns, channels)`."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """ρ cos θ_o 4 σ(wi) / D(m) at half vectors m, `(rows, columns, channels)`; and where ρ / D is that of a
+    neighbour.
+    """
     theta, phi = np.pi / 2 * u_theta**2, np.pi * (2 * u_phi - 1)
     m = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
     wi = np.array([np.sin(theta_i), 0, np.cos(theta_i)])
     wo = 2 * (m @ wi)[..., None] * m - wi
     above = wo[..., 2] > 0
     wo = np.where(above[..., None], wo, [0, 0, 1])
-    value = np.asarray(_evaluate(brdf, jnp.broadcast_to(jnp.asarray(wi), wo.shape), jnp.asarray(wo)))
-    value = _finite(value, f"at θ_i = {theta_i:.6g}")
+    value, there = map(np.asarray, _evaluate(brdf, jnp.broadcast_to(jnp.asarray(wi), wo.shape), jnp.asarray(wo)))
+    seen = above & there
+    value = _finite(value, seen, f"at θ_i = {theta_i:.6g}")
     u = np.linspace(0, 1, ndf.size)
     scale = 4 * np.interp(np.sqrt(2 * theta_i / np.pi), u, sigma) / np.interp(u_theta, u, ndf)
-    return np.where(above, wo[..., 2] * scale, 0)[..., None] * value
+    value = scale[..., None] * np.where(seen[..., None], value, 0)  # smooth: fit to be that of a neighbour
+    missing = above & ~there
+    if missing.any():
+        if not seen.any():
+            raise ValueError(f"this BRDF has no value at θ_i = {theta_i:.6g} rad: fit its samples, and write the model")
+        from scipy.ndimage import distance_transform_edt
+
+        rows, columns = np.asarray(distance_transform_edt(~seen, return_distances=False, return_indices=True))
+        value = np.where(missing[..., None], value[rows, columns], value)
+    return np.where(above, wo[..., 2], 0)[..., None] * value, missing
 
 
-def _finite(value: np.ndarray, where: str) -> np.ndarray:
-    if not np.all(np.isfinite(value)):
-        raise ValueError(f"values must be finite, got {value[~np.isfinite(value)][0]} {where}")
+def _finite(value: np.ndarray, there: np.ndarray, where: str) -> np.ndarray:
+    """The values, which must be finite `there`."""
+    wrong = there[..., None] & ~np.isfinite(value)
+    if wrong.any():
+        raise ValueError(f"values must be finite, got {value[wrong][0]} {where}")
     return value
 
 
@@ -156,5 +174,9 @@ def _trapezoid(count: int) -> np.ndarray:
 
 
 @eqx.filter_jit  # every slice has the same shape: one program
-def _evaluate(brdf: PairFunction, wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]) -> Array:
-    return with_channels(brdf(wi, wo), wi.ndim - 1)
+def _evaluate(
+    brdf: PairFunction, wi: Float[Array, "*batch 3"], wo: Float[Array, "*batch 3"]
+) -> tuple[Array, Bool[Array, " *batch"]]:
+    """ρ with channels, and whether it is known."""
+    there = known(brdf, wi.reshape(-1, 3), wo.reshape(-1, 3))
+    return with_channels(brdf(wi, wo), wi.ndim - 1), there.reshape(wi.shape[:-1])

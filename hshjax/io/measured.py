@@ -9,14 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax.brdfs import TabulatedBRDF
+from hshjax.brdfs._cells import GRAZING as GRAZING
 from hshjax.io.errors import FileFormatError
 from hshjax.samples import Samples
 
 Negatives = Literal["keep", "clip", "mask"]
 """What a reader does with negative values: keep them as measured, make them 0, or give their samples weight 0."""
 
-GRAZING = 1e-6
-"""Cosine, to which a direction counts as on the horizon: 90 degrees in float32, or with six digits in radians."""
+LARGEST = 1e30
+"""Of a value in a binary file: beyond it lie doubles in the other byte order, and no BRDF."""
+
+
+def check_negatives(negatives: str) -> None:
+    """What every reader does with its argument first.
+
+    **Raises:** ValueError for other words than those of `Negatives`.
+    """
+    if negatives not in get_args(Negatives):
+        raise ValueError(f"negatives is one of {', '.join(get_args(Negatives))}, got {negatives!r}")
 
 
 @dataclass(frozen=True)
@@ -77,8 +87,7 @@ def measured_samples(
     **Raises:** FileFormatError where nothing is left, or a value is too large for float32 once the cosine is out of it;
     ValueError for other words than those of `Negatives`.
     """
-    if negatives not in get_args(Negatives):
-        raise ValueError(f"negatives is one of {', '.join(get_args(Negatives))}, got {negatives!r}")
+    check_negatives(negatives)
     entries = len(value) + sum(found.dropped.values())
     upper = (wi[:, 2] > GRAZING) & (wo[:, 2] > GRAZING)
     dropped, masked = dict(found.dropped), dict(found.masked)

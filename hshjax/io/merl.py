@@ -25,13 +25,13 @@ import numpy as np
 
 from hshjax._typing import PairFunction
 from hshjax.brdfs import HalfVectorTable
-from hshjax.brdfs._half_vector_table import GRAZING
 from hshjax.brdfs._isotropy import is_isotropic
+from hshjax.brdfs._known import known
 from hshjax.geometry import from_half_difference
 from hshjax.io._binary import file_size, finite_doubles
 from hshjax.io._replace import replacing
 from hshjax.io.errors import FileFormatError
-from hshjax.io.measured import Findings, Measured, Negatives
+from hshjax.io.measured import GRAZING, LARGEST, Findings, Measured, Negatives, check_negatives
 from hshjax.metrics import with_channels
 
 HEADER = struct.Struct("<3i")
@@ -41,9 +41,6 @@ SCALES = np.array([1, 1.15, 1.66]) / 1500
 STEPS = (90, 90, 180)
 MAX_NODES = 2**23
 """Of a file, six times those of the database: what a header asks for must not exhaust a machine."""
-
-LARGEST = 1e30
-"""Of a value: what is beyond is no BRDF, and may have no place in float32."""
 
 UNMEASURED = -1.0
 NAMES = ("theta_h", "theta_d", "phi_d")
@@ -71,8 +68,10 @@ def measured_merl(path: str | PathLike, *, negatives: Negatives = "keep") -> Mea
     that, in this format. Other counts of steps than the database's are read too, up to 2^23 nodes; φ_d spans [0, π).
 
     **Raises:** FileFormatError where counts do not fit the size of the file, before any value is read; for values that
-    are not finite, and where nothing was measured. OSError where the file cannot be opened.
+    are not finite, and where nothing was measured. ValueError for another word in `negatives`; OSError where the file
+    cannot be opened.
     """
+    check_negatives(negatives)
     steps = _steps(path)
     nodes = int(np.prod(steps))
     planes = finite_doubles(path, HEADER.size, 3 * nodes).reshape(3, nodes)
@@ -123,12 +122,14 @@ def write_merl(
     steps: tuple[int, int, int] = STEPS,
     repeat: bool = False,
     negatives: Literal["clip", "mask"] | None = None,
-) -> None:
+) -> int:
     """An isotropic BRDF [sr^-1] at the nodes of a file, slice by slice of θ_h, in float64; written beside and renamed.
 
     Each value is the mean over the swap of directions, which the format cannot tell apart. Pairs with a direction on
-    or below the horizon are marked as not measured. A single channel is written three times if `repeat`. Values below
-    0 above the horizon, which the format has no room for, become 0 ("clip") or are marked as not measured ("mask").
+    or below the horizon are marked as not measured, and so are those where a table has no value: at its unmeasured
+    nodes, and in cells without a measured one. A single channel is written three times if `repeat`. Values below 0
+    above the horizon, which the format has no room for, become 0 ("clip") or are marked as not measured ("mask").
+    Returned is how many nodes with both directions above the horizon are marked so.
 
     **Raises:** ValueError for an anisotropic BRDF, for other than three channels, for values that are not finite, for
     negative ones unless `negatives` says what becomes of them, and for steps that no file has.
@@ -142,40 +143,49 @@ def write_merl(
         if not is_isotropic(brdf):
             raise ValueError("a MERL file is for isotropic BRDFs, and this one is not")
         file.write(HEADER.pack(*steps))
+        marked = 0
         for k, half in enumerate(theta_h):
-            values = _slice(brdf, half, d, f, repeat)
+            values, there = _slice(brdf, half, d, f, repeat)
             below = _lowest(half, d, f) <= GRAZING
-            wrong = ~below[:, None] & ~np.isfinite(values)
+            seen = (there & ~below)[:, None]
+            wrong = seen & ~np.isfinite(values)
             if wrong.any():
                 raise ValueError(f"values must be finite, got {values[wrong][0]} at θ_h = {half:.6g}")
-            negative = ~below[:, None] & (values < 0)
+            negative = seen & (values < 0)
             if negative.any() and negatives is None:
                 raise ValueError(
                     f'values must be >= 0, got {values[negative].min():.6g} at θ_h = {half:.6g}: negatives="clip" '
                     'makes them 0, "mask" marks them as not measured'
                 )
-            unmeasured = below | negative.any(axis=1) if negatives == "mask" else below
+            unmeasured = ~seen[:, 0]
+            if negatives == "mask":
+                unmeasured |= negative.any(axis=1)
+            marked += int(np.sum(unmeasured & ~below))
             raw = np.where(unmeasured[:, None], UNMEASURED, np.maximum(values, 0) / SCALES)
             for plane in range(3):
                 file.seek(HEADER.size + 8 * (plane * nodes + k * d.size))
                 file.write(raw[:, plane].astype("<f8").tobytes())
+    return marked
 
 
-def _slice(brdf: PairFunction, half: float, d: np.ndarray, f: np.ndarray, repeat: bool) -> np.ndarray:
-    """ρ `(pairs, 3)`, the mean over the swap."""
+def _slice(
+    brdf: PairFunction, half: float, d: np.ndarray, f: np.ndarray, repeat: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """ρ `(pairs, 3)`, the mean over the swap, and `(pairs,)`, whether it is known both ways."""
     wi, wo = from_half_difference(*(jnp.asarray(x) for x in (np.float64(half), d, f)))
-    values = np.asarray(_both_ways(brdf, wi, wo))
+    values, there = map(np.asarray, _both_ways(brdf, wi, wo))
     if values.shape[1] == 1 and repeat:
         values = np.repeat(values, 3, axis=1)
     if values.shape[1] != 3:
         hint = ": repeat=True writes it three times" if values.shape[1] == 1 else ""
         raise ValueError(f"a MERL file has 3 channels, got {values.shape[1]}{hint}")
-    return values
+    return values, there
 
 
 @eqx.filter_jit  # every slice has the same shape: one program
 def _both_ways(brdf: PairFunction, wi, wo):
-    return (with_channels(brdf(wi, wo), 1) + with_channels(brdf(wo, wi), 1)) / 2
+    values = (with_channels(brdf(wi, wo), 1) + with_channels(brdf(wo, wi), 1)) / 2
+    return values, known(brdf, wi, wo) & known(brdf, wo, wi)
 
 
 def _nodes(steps: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

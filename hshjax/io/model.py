@@ -14,6 +14,7 @@ import inspect
 import json
 import math
 import os
+import re
 import types as python_types
 import zlib
 from collections.abc import Sequence
@@ -51,6 +52,9 @@ ADDED: dict[str, frozenset[str]] = {
 }
 """Fields that classes have got since they could be saved: a file from before means their defaults."""
 
+MARK = re.compile(rb'\{\s*"format"\s*:\s*"' + FORMAT.encode() + b'"')
+"""What a saved model begins with; a number of a measured material may begin with the same byte."""
+
 MAX_LINE = 2**24
 """Bytes of line 1: thousands of arrays. A file without an end of line must not exhaust a machine."""
 
@@ -59,6 +63,11 @@ MAX_ORDER = 512
 """Of a basis: 263 169 functions of one direction. What a file asks for must not exhaust a machine."""
 MAX_EMPTY = 2**31
 """Elements that an empty array would have if its empty axes had length 1."""
+
+
+def sniff(head: bytes) -> bool:
+    """Whether a file that begins with `head` is a saved model."""
+    return MARK.match(head) is not None
 
 
 def save_model(path: str | PathLike, model: eqx.Module) -> None:

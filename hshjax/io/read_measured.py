@@ -7,19 +7,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 from hshjax.brdfs import AngleTable, HalfVectorTable
-from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._known import table_samples
 from hshjax.io import alta, astm, csv_samples, fred, merl, rgl, utia, zemax
+from hshjax.io._sampling import sampling_rule
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
-from hshjax.quadrature import ANISOTROPIC_DEGREE, PairRule, isotropic_pair_rule, pair_rule
+from hshjax.quadrature import PairRule
 from hshjax.samples import Samples
 
 HEAD = 8192
 """Bytes of a file that tell its format."""
-
-DEGREE = 64
-"""Of the rule that samples a table, unless another is given."""
 
 
 class Format(NamedTuple):
@@ -93,7 +90,7 @@ def read_samples(
         if rule is None and isinstance(data, AngleTable | HalfVectorTable):
             return data.node_samples(), found
         if rule is None:
-            rule = isotropic_pair_rule(DEGREE) if is_isotropic(data) else pair_rule(ANISOTROPIC_DEGREE)
+            rule = sampling_rule(data)
         return table_samples(data, rule), found
     if rule is not None:
         raise ValueError(

@@ -1,5 +1,6 @@
 """Materials of the RGL database (Dupuy and Jakob 2018): isotropic and anisotropic, RGB and spectral."""
 
+import re
 from collections.abc import Callable, Sequence
 from os import PathLike
 
@@ -9,7 +10,7 @@ from hshjax._typing import PairFunction
 from hshjax.brdfs import RGLTable, TabulatedBRDF
 from hshjax.io._rgl_resample import resampled
 from hshjax.io.errors import FileFormatError
-from hshjax.io.measured import Findings, Measured, Negatives
+from hshjax.io.measured import Findings, Measured, Negatives, check_negatives
 from hshjax.io.tensor_file import MAGIC, read_tensor_file, write_tensor_file
 
 HALF_PI = np.float32(np.pi / 2) * (1 + 1e-6)
@@ -49,8 +50,9 @@ def measured_rgl(path: str | PathLike, *, negatives: Negatives = "keep") -> Meas
     reader follows the public source of Mitsuba 3's `measured` plugin, and was held against it on files of the layout.
 
     **Raises:** FileFormatError for damaged files, and where tables do not fit each other; ValueError for
-    `negatives="mask"`; OSError where the file cannot be opened.
+    `negatives="mask"` and other words; OSError where the file cannot be opened.
     """
+    check_negatives(negatives)
     if negatives == "mask":
         raise ValueError('the entries of an RGL table cannot be masked: negatives may be "keep" or "clip", got "mask"')
     fields = _Fields(path, read_tensor_file(path))
@@ -143,27 +145,41 @@ def write_rgl(
     slices: int = 24,
     size: int = 64,
     wavelengths: Sequence[float | int] | None = None,
+    repeat: bool = False,
     description: str = "",
-) -> None:
+) -> int:
     """An isotropic BRDF [sr^-1] as a `.bsdf` file, which the `measured` plugin of Mitsuba 3 renders; written beside and
     renamed.
 
     `slices` angles of incidence from 0 to 89 degrees, evenly, each with `size` x `size` values at places that suit the
-    material (see `_rgl_resample`). Three channels are R, G, B; with `wavelengths` [nm], one a channel, the file is a
-    spectral one. The table is as coarse as its steps, and files are in float32: read it back to see the error. What the
-    files of the database say besides, the mask of entries that were not measured, is left out.
+    material (see `_rgl_resample`). With `wavelengths` [nm], rising, one a channel, the file is a spectral one; None:
+    those that `channel_names` of the BRDF say, where every one does ("650 nm"); else three channels are R, G, B, and a
+    single one is written three times if `repeat`. The table is as coarse as its steps, and files are in float32: read
+    it back to see the error.
 
-    **Raises:** ValueError for an anisotropic BRDF, values that are not finite, channels that do not fit, or too few
-    slices or values.
+    Where a table has no value, at nodes that were not measured and in cells without a measured one, ρ / D is that
+    of the nearest place of its slice that has one, and the file's mask says that it was not measured. Returned is how
+    many entries of a channel are filled so.
+
+    **Raises:** ValueError for an anisotropic BRDF, values that are not finite, channels that do not fit, too few slices
+    or values, or an angle of incidence without any value.
     """
     if min(slices, size) < 2:
         raise ValueError(f"a table needs 2 slices and 2 x 2 values at least, got slices={slices}, size={size}")
     tables = resampled(brdf, slices, size)
-    values = tables.pop("values")
+    values, filled = tables.pop("values"), tables.pop("filled")
     channels = values.shape[2]
     if wavelengths is None:
-        if channels != 3:
-            raise ValueError(f"an RGB file has 3 channels, got {channels}: give their `wavelengths`")
+        wavelengths = wavelengths_of(getattr(brdf, "channel_names", ()))
+    if wavelengths is None:
+        if channels == 1 and repeat:
+            values = np.repeat(values, 3, axis=2)
+        elif channels != 3:
+            hint = ", or repeat=True writes it three times" if channels == 1 else ""
+            raise ValueError(
+                f"an RGB file has 3 channels, got {channels}: wavelengths make it a spectral one, as names of channels "
+                f"like '650 nm' do{hint}"
+            )
         named = {"rgb": values}
     else:
         nanometres = np.asarray(wavelengths, np.float32)
@@ -171,7 +187,15 @@ def write_rgl(
             raise ValueError(f"wavelengths must be {channels} rising numbers [nm], one a channel, got {wavelengths}")
         named = {"spectra": values, "wavelengths": nanometres}
     head = {"description": np.frombuffer(description.encode(), np.uint8), "phi_i": np.zeros(1, np.float32)}
-    write_tensor_file(path, head | tables | named | {"jacobian": np.ones(1, np.uint8)})
+    mask = {"valid": np.packbits(filled)} if filled.any() else {}
+    write_tensor_file(path, head | tables | named | mask | {"jacobian": np.ones(1, np.uint8)})
+    return int(filled.sum())
+
+
+def wavelengths_of(names: Sequence[str]) -> tuple[float, ...] | None:
+    """Those that names of channels say, as "650 nm"; None unless every one does."""
+    found = [re.fullmatch(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?nm", name) for name in names]
+    return tuple(float(match[1]) for match in found if match) if found and all(found) else None
 
 
 class _Fields:

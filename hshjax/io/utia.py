@@ -19,15 +19,13 @@ import numpy as np
 from hshjax.brdfs import AngleTable
 from hshjax.io._binary import file_size, finite_doubles
 from hshjax.io.errors import FileFormatError
-from hshjax.io.measured import Findings, Measured, Negatives
+from hshjax.io.measured import LARGEST, Findings, Measured, Negatives, check_negatives
 
 THETA = np.radians(15.0 * np.arange(6))
 PHI = np.radians(7.5 * np.arange(48))
 CHANNELS = 3
 NODES = (THETA.size * PHI.size) ** 2
 SIZE = 8 * CHANNELS * NODES
-LARGEST = 1e30
-"""Beyond it lie doubles in the other byte order, and no BRDF."""
 
 
 def sniff(head: bytes, size: int) -> bool:
@@ -52,8 +50,10 @@ def measured_utia(path: str | PathLike, *, negatives: Negatives = "keep") -> Mea
     last two. `negatives`: "mask" makes a node with a negative value in any channel count as unmeasured.
 
     **Raises:** FileFormatError for a file of another size, before it is read; for values that are not finite, or beyond
-    1e30, as those of the other byte order. OSError where the file cannot be opened.
+    1e30, as those of the other byte order; ValueError for another word in `negatives`; OSError where the file cannot be
+    opened.
     """
+    check_negatives(negatives)
     size = file_size(path)
     if size != SIZE:
         expected = f"{SIZE} bytes, {CHANNELS} planes of 288 x 288 float64"
