@@ -25,14 +25,17 @@ from hshjax.bases import HSH, SHR, IsotropicBasis, Zernike
 from hshjax.bases._base import AbstractBasis, matmul
 from hshjax.bases._isotropic import _difference_chart, _factors
 from hshjax.brdfs._linear import cosine_power
-from hshjax.fitting._blocks import ROWS, fold
+from hshjax.fitting._blocks import fold
 from hshjax.fitting._norms import Norm
 from hshjax.fitting._sample_blocks import regrouped
 from hshjax.quadrature import PairRule, isotropic_pair_rule
 from hshjax.samples import Samples
 
-BLOCK = 1024
-"""Samples a block: what is formed of them stays in the cache."""
+BLOCK = 4096
+"""Samples a block."""
+
+NODES = 512
+"""Of the rule, a block: what is formed of them stays in the cache."""
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 """That this process may use, where the system tells."""
@@ -177,7 +180,7 @@ def _gram(basis: IsotropicBasis, moments: Float[Array, " twice"], rule: Samples)
         rows = basis(wi, wo)
         return gram + matmul(rows.T, (weight * density)[:, None] * rows)
 
-    return fold(rule, ROWS, jnp.zeros((basis.count, basis.count), moments.dtype), visit)
+    return fold(rule, NODES, jnp.zeros((basis.count, basis.count), moments.dtype), visit)
 
 
 def _rule(pairs: IsotropicBasis, dtype) -> PairRule:
