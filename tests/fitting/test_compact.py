@@ -68,6 +68,7 @@ def test_a_model_is_found_again():
     assert np.all(found.model.matrix[20:] == 0)
 
 
+@pytest.mark.slow
 def test_more_coefficients_tell_more():
     samples = plastic()
     errors = [fit_compact(samples, n).log_error for n in (10, 25, 60)]
@@ -316,6 +317,7 @@ def test_the_highlight_alone():
     assert found.albedo <= 1
 
 
+@pytest.mark.slow
 def test_albedos_hold_between_the_angles_that_are_looked_at():
     """A narrow lobe that reflects all it gets: every two degrees, by more nodes than the fit takes."""
     found = fit_compact(Lambert([0.1]) + GGX([1.0], 0.05), 150)
@@ -345,6 +347,7 @@ def retro_reflector():
     return brdf
 
 
+@pytest.mark.slow
 def test_retro_reflection_takes_a_warp_of_its_own():
     """Without one a lobe about wi = wo is out of reach; with one, fewer coefficients do much better."""
     samples = half_vector_samples(retro_reflector(), shape=(12, 90, 4))

@@ -88,6 +88,7 @@ def test_inequalities_that_exclude_each_other(rows):
 # --- optima that are known --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_lambertian_surface_brighter_than_white_becomes_white():
     """In norm A the multipliers κ z_o push along (κ z_i z_o / z_i z_o): the optimum is the constant of albedo 1."""
     fit = project(BASIS, samples_of(Lambert(jnp.asarray([1.4]))), norm="A", constraints=("energy",), reciprocity=False)

@@ -164,6 +164,7 @@ def test_the_gradient_tells_a_bound_that_is_left_from_one_that_holds():
     assert fit(Lambert(0.0), {"data": SampleMisfit(BEYOND)}, throw=False).gradient_norm == 0
 
 
+@pytest.mark.slow
 def test_a_fit_to_a_bound_takes_no_more_steps_than_another():
     """The lobe is pushed beyond specular 1: no slope of a transformation vanishes on the way."""
     objective = {"data": SampleMisfit(BEYOND, CosineWeighted())}
@@ -176,6 +177,7 @@ def test_a_fit_to_a_bound_takes_no_more_steps_than_another():
     assert fit(found.model, {"data": SampleMisfit(CLEAN)}, throw=False).model.b.specular < 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="finite differences")
 def test_the_derivative_of_a_fit_to_a_bound():
     """What ends on its bound stays there; the rest follows the data."""

@@ -123,6 +123,7 @@ def assert_summed(found, total, square, tolerance=1e-4):
     assert_close(found.relative[0], np.sqrt(1 - np.sum(total**2) / square), tolerance=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="narrow lobes in float64")
 def test_a_lobe_of_half_a_degree():
     """∫∫ g B over nodes of half vectors at each eye."""
@@ -162,6 +163,7 @@ def test_a_lobe_back_to_the_light_in_closed_form(width):
     assert float(found.relative[0]) > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="narrow lobes in float64")
 def test_a_compact_model_of_a_retro_reflector():
     """As `fit_compact` makes them, a warp of either angle: tens of times brighter within a degree of the light."""

@@ -165,6 +165,7 @@ def test_gradients_are_those_of_finite_differences():
     assert_close(slopes, (ahead - behind) / (2 * step), tolerance=1e-5 if X64 else 3e-2)
 
 
+@pytest.mark.slow
 def test_normals_and_brdf_that_were_spoilt_are_put_right():
     photographs, right = exact()
     wrong = tilted(replace(right, brdf=in_dtype(glossy(0.12), jnp.float32)))
