@@ -153,6 +153,7 @@ def test_far_from_samples_deviations_grow():
     assert np.all(reached <= prior[:, None] * (1 + 1e-6))
 
 
+@pytest.mark.slow
 @needs_x64
 def test_exact_samples_do_not_narrow_what_was_not_sampled():
     """Left out, they are found again better than predicted; of grazing pairs beyond them that says nothing."""
@@ -338,6 +339,7 @@ def test_one_pair_is_measured_and_none_on_the_horizon(unchecked):
         found.measured(wi[:, :2], wo)
 
 
+@pytest.mark.slow
 def test_posteriors_are_compiled_and_follow_the_directions():
     """In either precision; one and the same under jit."""
     samples, _ = noisy(PLASTIC, 60, 2)

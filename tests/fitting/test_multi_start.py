@@ -226,6 +226,7 @@ def started(*slopes, diffuse=0.5, specular=0.5):
     return jax.vmap(lambda slope: CookTorrance(diffuse, specular, slope))(jnp.asarray(slopes, DTYPE))
 
 
+@pytest.mark.slow
 def test_one_start_sticks_where_many_do_not():
     """From a highlight too narrow for the samples to see, its width has no slope, and a fit ends as another diffuse."""
     starts = started(0.01, 0.05, 0.3)

@@ -485,6 +485,7 @@ def test_a_batch_of_materials(norm):
         assert_close(batch.relative[k], alone.relative, tolerance=max(TOLERANCE, 100 * EPS))
 
 
+@pytest.mark.slow
 def test_inner_products_of_a_batch():
     rule = pair_rule(8, dtype=DTYPE)
     values = normal(9, 3, rule.weight.size, 1)
