@@ -60,6 +60,7 @@ def test_a_model_is_described_and_fitted_again(model, tmp_path):
     assert (tmp_path / "out.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "what"), [("exp", ExpBRDF), slow_unless(False, "cook-torrance", CookTorrance)])
 def test_other_models_are_fitted_step_by_step(model, tmp_path, kind, what):
     out = tmp_path / "out.hshjax"

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import jax.numpy as jnp
+import pytest
 
 import hshjax
 from hshjax.io import save_model
@@ -34,6 +35,7 @@ def test_programs_are_kept(tmp_path):
     assert {path.name for path in home.rglob("*-cache")} == kept  # nothing was compiled anew
 
 
+@pytest.mark.slow
 def test_a_home_that_cannot_be_written_is_no_hindrance(tmp_path):
     home = tmp_path / "file"
     home.write_text("no folder")

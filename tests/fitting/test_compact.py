@@ -109,6 +109,7 @@ def albedos(brdf):
     return np.asarray(albedo(brdf, wo, hemisphere_rule(200)))
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_where_it_was_not():
     """Least squares under the constraint: albedos of at most 1, at little more error than without."""
     samples = half_vector_samples(glossy(), shape=SHAPE)

@@ -234,6 +234,7 @@ def test_a_lobe_that_rings_is_certified(constraints, norm):
         for norm in "AD"
     ],
 )
+@pytest.mark.slow
 def test_other_bases(basis, norm):
     value = lobe(0.3)
     if isinstance(basis, IsotropicBasis):
@@ -245,6 +246,7 @@ def test_other_bases(basis, norm):
     assert fit.certificate.active[0] > 0
 
 
+@pytest.mark.slow
 def test_the_optimum_of_a_discretised_problem():
     """An independent solver, on the inequalities at dense nodes: it may pass between them, and is a little nearer."""
     basis, samples = IsotropicBasis(HSH(1)), samples_of(lobe(0.3))

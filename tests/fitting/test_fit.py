@@ -86,6 +86,7 @@ def test_every_solver_finds_the_closed_form(name):
         assert found.message == "converged"
 
 
+@pytest.mark.slow
 def test_soft_reciprocity_becomes_the_helmholtz_fit():
     """A heavy penalty on A - Aᵀ and the basis that knows no other: the same coefficients."""
     tensor, helmholtz = TensorBasis(Zernike(1)), HelmholtzBasis(Zernike(1))
@@ -235,6 +236,7 @@ def test_a_solver_that_keeps_boxes(name):
     assert list(found.on_bound["albedo"]) == [False, True]
 
 
+@pytest.mark.slow
 def test_sparsity_is_a_soft_threshold():
     """On an orthonormal design the L1 optimum is the projection, shrunk towards 0 by the weight."""
     rule = isotropic_pair_rule(4, dtype=DTYPE)

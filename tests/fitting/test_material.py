@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from hshjax.bases import HSH, HelmholtzBasis, IsotropicBasis
 from hshjax.fitting import fit_material
@@ -33,6 +34,7 @@ def test_samples_of_an_anisotropic_material_are_followed():
     assert error(fit_material(scattered(400, isotropic=True), "linear", basis=basis), samples) > 0.1
 
 
+@pytest.mark.slow
 def test_what_cannot_follow_them_says_so():
     found = fit_material(scattered(40), "linear", basis=IsotropicBasis(HSH(2)))
     assert "40 samples do not determine 45 functions: fitted as an isotropic one" in found.notes[0]
@@ -41,6 +43,7 @@ def test_what_cannot_follow_them_says_so():
     assert "fitted as an isotropic one all the same; a linear model could follow another" in found.notes[0]
 
 
+@pytest.mark.slow
 def test_isotropic_samples_and_a_chosen_basis_need_no_word():
     assert fit_material(scattered(100, isotropic=True), "linear", basis=IsotropicBasis(HSH(2))).notes == ()
     found = fit_material(scattered(100), "linear", basis=HelmholtzBasis(HSH(1)))

@@ -474,6 +474,7 @@ def test_an_undetermined_fit_under_jit_is_not_finite_in_its_condition_or_coeffic
     assert not np.all(np.isfinite(fit.model.coefficients)) or fit.condition > 1 / (len(SMALL.modes) * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("norm", ["A", "D"])
 def test_a_batch_of_materials(norm):
     values = normal(9, 3, N, 2)
@@ -516,6 +517,7 @@ def test_gradient_with_respect_to_the_values(settings):
     assert_close(jnp.sum(gradient * direction), expected, tolerance=max(TOLERANCE, 1e4 * EPS))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="differences need float64")
 def test_gradient_of_the_residual():
     value, direction = scattered(SMALL, "D").value[:, 2:], normal(11, N, 1)
@@ -544,6 +546,7 @@ def test_dtypes_follow_the_samples():
     assert project(SMALL, mixed, norm="A", reciprocity=False).model.coefficients.dtype == jnp.float64
 
 
+@pytest.mark.slow
 def test_a_part_of_a_rule_is_no_rule():
     """Who slices or masks the arrays of samples leaves `degree` behind: the weights tell."""
     rule = fine_rule(SMALL)

@@ -68,6 +68,7 @@ def test_lambert():
     assert_close(found.model.coefficients, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="a dense sum in float64")
 @pytest.mark.parametrize("norm", ["D", slow_unless(False, "A")])
 def test_a_compact_model_against_a_dense_sum(norm):
@@ -137,6 +138,7 @@ def test_a_lobe_of_half_a_degree():
 @pytest.mark.parametrize(
     ("width", "roughness"), [(0.02, 0.01), slow_unless(False, 0.05, 0.005), slow_unless(False, 0.005, 0.1)]
 )
+@pytest.mark.slow
 def test_a_highlight_and_a_lobe_back_to_the_light(width, roughness):
     """Each on nodes of its own. Their product counts on those about the eye: the lobe is what ends it."""
     highlight, back = GGX(0.3, roughness), retro(0.2 / width**2, width)
@@ -187,6 +189,7 @@ def test_directions_count_only_where_lobes_agree(unchecked):
         to_series(brdf, ISOTROPIC, max_degree=32)
 
 
+@pytest.mark.slow
 def test_the_error_that_is_reported_is_the_error():
     """Against samples on a rule in directions that was not looked at."""
     model, basis = compact(1.0, 0.3), IsotropicBasis(HSH(4))

@@ -32,6 +32,7 @@ def test_no_good_file_is_cut():
         assert name in FIXED or sized(name, good, good + b"\0") == good + b"\0"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not X64, reason="a process of its own, which is the same in either leg")
 def test_a_reader_is_run_and_nothing_is_left(tmp_path, monkeypatch, capfd):
     monkeypatch.setattr("tests.fuzz.__main__.MEMORY", tmp_path)

@@ -179,6 +179,7 @@ def test_normals_and_brdf_that_were_spoilt_are_put_right():
     assert [stage.name for stage in found.history] == ["joint", "follow", "reflectance"]
 
 
+@pytest.mark.slow
 def test_the_camera_is_that_of_the_result_and_what_is_held_stays():
     """All is turned by 120 degrees; photographs that know nothing of that are of the same object."""
     photographs, right = exact()
