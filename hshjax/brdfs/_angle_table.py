@@ -4,11 +4,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from hshjax._fields import floating
 from hshjax._typing import Array, Bool, Float
-from hshjax.brdfs._cells import GRAZING, arcs, cell, check_nodes, interpolated, periodic_cell, walls
+from hshjax.brdfs._cells import GRAZING, Axis, arcs, cell, check_grid, interpolated, periodic_cell, walls
 from hshjax.brdfs._tabulated import TabulatedBRDF
 from hshjax.geometry import direction
 from hshjax.samples import Samples
@@ -41,20 +40,14 @@ class AngleTable(TabulatedBRDF):
     measured: Bool[Array, "theta_i phi_i theta_o phi_o"] | None = None
 
     def __check_init__(self):
-        axes = self.theta_i, self.phi_i, self.theta_o, self.phi_o
-        nodes = tuple(axis.size for axis in axes)
-        expected = (*nodes, len(self.channel_names))
-        if self.values.shape != expected:
-            got = self.values.shape
-            raise ValueError(f"values of a table must have shape {expected}, by its nodes and channel names, got {got}")
-        if self.measured is not None and self.measured.shape != nodes:
-            raise ValueError(f"measured of a table must have shape {nodes}, by its nodes, got {self.measured.shape}")
-        if min(nodes[::2]) < 2 or min(nodes[1::2]) < 1:
-            raise ValueError(f"a table needs two nodes along θ_i and θ_o and one along φ_i and φ_o, got {nodes}")
-        for name, axis in zip(("theta_i", "phi_i", "theta_o", "phi_o"), axes, strict=True):
-            if not isinstance(axis, Tracer):
-                closed = name.startswith("theta")
-                check_nodes(name, np.asarray(axis, np.float64), np.pi / 2 if closed else 2 * np.pi, closed=closed)
+        axes = {
+            "theta_i": Axis(self.theta_i, np.pi / 2, closed=True),
+            "phi_i": Axis(self.phi_i, 2 * np.pi, closed=False),
+            "theta_o": Axis(self.theta_o, np.pi / 2, closed=True),
+            "phi_o": Axis(self.phi_o, 2 * np.pi, closed=False),
+        }
+        least = "two nodes along θ_i and θ_o and one along φ_i and φ_o"
+        check_grid(self.values, self.measured, self.channel_names, axes, least)
 
     def node_samples(self) -> Samples:
         """The values at the nodes themselves, nothing interpolated, each weighted by the solid angle [sr²] of its cell.

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from hshjax._typing import Array, Bool, Float, Int, Real
 
@@ -76,7 +78,35 @@ def arcs(nodes: np.ndarray, period: float) -> np.ndarray:
     return (after + np.roll(after, 1)) / 2
 
 
-def check_nodes(name: str, nodes: np.ndarray, end: float, *, closed: bool) -> None:
+class Axis(NamedTuple):
+    """Nodes within [0, end], or [0, end) of one that is not `closed`, which goes round."""
+
+    nodes: Float[Array, " nodes"]
+    end: float
+    closed: bool
+
+
+def check_grid(
+    values: Array, measured: Array | None, channel_names: tuple[str, ...], axes: dict[str, Axis], least: str
+) -> None:
+    """ValueError unless values and mask have the shape of the axes, closed axes two nodes and others one, as `least`
+    says, and nodes rise. Nodes that are traced are not looked at.
+    """
+    nodes = tuple(axis.nodes.size for axis in axes.values())
+    expected = (*nodes, len(channel_names))
+    if values.shape != expected:
+        got = values.shape
+        raise ValueError(f"values of a table must have shape {expected}, by its nodes and channel names, got {got}")
+    if measured is not None and measured.shape != nodes:
+        raise ValueError(f"measured of a table must have shape {nodes}, by its nodes, got {measured.shape}")
+    if any(axis.nodes.size < (2 if axis.closed else 1) for axis in axes.values()):
+        raise ValueError(f"a table needs {least}, got {nodes}")
+    for name, axis in axes.items():
+        if not isinstance(axis.nodes, Tracer):
+            _check_nodes(name, np.asarray(axis.nodes, np.float64), axis.end, closed=axis.closed)
+
+
+def _check_nodes(name: str, nodes: np.ndarray, end: float, *, closed: bool) -> None:
     """ValueError unless they rise within [0, end], or [0, end) if not `closed`."""
     slack = 1e-6 * end  # a right angle in float32 may lie above one in float64
     last = nodes[-1] <= end + slack if closed else nodes[-1] < end - slack

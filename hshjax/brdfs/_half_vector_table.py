@@ -4,13 +4,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from hshjax._fields import floating
 from hshjax._typing import Array, Bool, Float
 from hshjax.bases import IdentityWarp
 from hshjax.bases._half_vector import half_chart
-from hshjax.brdfs._cells import GRAZING, arcs, cell, check_nodes, interpolated, periodic_cell, root, walls
+from hshjax.brdfs._cells import GRAZING, Axis, arcs, cell, check_grid, interpolated, periodic_cell, root, walls
 from hshjax.brdfs._tabulated import TabulatedBRDF
 from hshjax.geometry import tilted
 from hshjax.samples import Samples
@@ -52,18 +51,13 @@ class HalfVectorTable(TabulatedBRDF):
     measured: Bool[Array, "theta_h theta_d phi_d"] | None = None
 
     def __check_init__(self):
-        nodes = self.theta_h.shape + self.theta_d.shape + self.phi_d.shape
-        expected = (*nodes, len(self.channel_names))
-        if self.values.shape != expected:
-            got = self.values.shape
-            raise ValueError(f"values of a table must have shape {expected}, by its nodes and channel names, got {got}")
-        if self.measured is not None and self.measured.shape != nodes:
-            raise ValueError(f"measured of a table must have shape {nodes}, by its nodes, got {self.measured.shape}")
-        if min(nodes[:2]) < 2 or nodes[2] < 1:
-            raise ValueError(f"a table needs two nodes along θ_h and θ_d and one along φ_d, got {nodes}")
-        for name, end, closed in (("theta_h", np.pi / 2, True), ("theta_d", np.pi / 2, True), ("phi_d", np.pi, False)):
-            if not isinstance(getattr(self, name), Tracer):
-                check_nodes(name, np.asarray(getattr(self, name), np.float64), end, closed=closed)
+        axes = {
+            "theta_h": Axis(self.theta_h, np.pi / 2, closed=True),
+            "theta_d": Axis(self.theta_d, np.pi / 2, closed=True),
+            "phi_d": Axis(self.phi_d, np.pi, closed=False),
+        }
+        least = "two nodes along θ_h and θ_d and one along φ_d"
+        check_grid(self.values, self.measured, self.channel_names, axes, least)
 
     def settled(self) -> "HalfVectorTable":
         """The same table with the mean over φ_d where θ_h or θ_d is 0, and φ_d means nothing; of measured nodes, if any

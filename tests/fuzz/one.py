@@ -50,7 +50,7 @@ def led(name: str, seconds: int, runs: int, folder: Path) -> None:
     import atheris
 
     with atheris.instrument_imports(include=["hshjax.io"]):
-        import hshjax.io  # noqa: F401
+        import hshjax.io  # noqa: F401  what is imported here is instrumented
 
     content, readers = prepared(name, folder)
     largest, corpus = limit(name, content), folder / "corpus"
@@ -112,7 +112,7 @@ def prepared(name: str, folder: Path) -> tuple[bytes, tuple[Callable, ...]]:
 if __name__ == "__main__":
     name, seconds, runs, folder = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
     try:
-        import atheris  # noqa: F401
+        import atheris  # noqa: F401  whether it is there
     except ImportError:
         drawn(name, seconds, runs, folder)
     else:
