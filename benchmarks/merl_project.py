@@ -63,9 +63,7 @@ def with_numpy_by_axes(path: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def read_and_project(path: str, order: int) -> Fit:
-    table = read_merl(path)
-    fit = project_by_moments(IsotropicBasis(HSH(order)), table.node_samples(folded=True))
-    return jax.block_until_ready(fit)
+    return jax.block_until_ready(project_by_moments(IsotropicBasis(HSH(order)), read_merl(path)))
 
 
 def material() -> AbstractBRDF:

@@ -1,5 +1,7 @@
 """Isotropic materials as a table over half and difference angles: what databases hold, and what is quick to look up."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -92,14 +94,12 @@ class HalfVectorTable(TabulatedBRDF):
         """
         theta_h, theta_d, phi_d = (np.asarray(axis, np.float64) for axis in (self.theta_h, self.theta_d, self.phi_d))
         there, values = self._measured_on_host(), np.asarray(self.values)
-        half, azimuth = _solid_angles(theta_h, theta_d, phi_d)
-        mirrored = _mirrored(phi_d) if folded else np.arange(phi_d.size)
-        first = np.flatnonzero(mirrored >= np.arange(phi_d.size))
-        second = mirrored[first]
-        share = there[..., first] * azimuth[first]
+        half, azimuth = solid_angles(theta_h, theta_d, phi_d)
+        first, second, arcs = folded_azimuth(phi_d, azimuth) if folded else _alone(azimuth)
+        share = there[..., first] * arcs[0]
         value = values[:, :, first]
         if folded:
-            other = there[..., second] * np.where(second == first, 0, azimuth[second])
+            other = there[..., second] * arcs[1]
             both = share + other
             part = np.divide(other, both, out=np.zeros_like(both), where=both > 0)[..., None]
             value = np.where(part < 1, value, 0) * (1 - part) + np.where(part > 0, values[:, :, second], 0) * part
@@ -155,12 +155,33 @@ def _node_directions(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray
     return out[0], out[1]
 
 
-def _solid_angles(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def solid_angles(theta_h: np.ndarray, theta_d: np.ndarray, phi_d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of the cells, as factors `(theta_h, theta_d)` and `(phi_d,)`, their product in sr²: see `node_samples`."""
     half = -np.diff(np.cos(walls(np.sqrt(theta_h), float(np.sqrt(np.pi / 2))) ** 2))
     difference = 2 * np.diff(np.sin(walls(theta_d, np.pi / 2)) ** 2)
     # 2π for φ_h; twice, for φ_d and for φ_d + π.
     return 2 * np.pi * half[:, None] * difference, 2 * arcs(phi_d, np.pi)
+
+
+class FoldedAzimuth(NamedTuple):
+    """Nodes of φ_d and of π - φ_d, which are one sample: their indices, and their `arcs`, 0 of what has no other."""
+
+    first: np.ndarray
+    second: np.ndarray
+    arcs: np.ndarray
+
+
+def folded_azimuth(phi_d: np.ndarray, arcs: np.ndarray) -> FoldedAzimuth:
+    """Every node once, with its arc [radians]."""
+    mirrored = _mirrored(phi_d)
+    first = np.flatnonzero(mirrored >= np.arange(phi_d.size))
+    second = mirrored[first]
+    return FoldedAzimuth(first, second, np.stack([arcs[first], np.where(second == first, 0, arcs[second])]))
+
+
+def _alone(arcs: np.ndarray) -> FoldedAzimuth:
+    own = np.arange(arcs.size)
+    return FoldedAzimuth(own, own, np.stack([arcs, np.zeros_like(arcs)]))
 
 
 def _mirrored(phi_d: np.ndarray) -> np.ndarray:

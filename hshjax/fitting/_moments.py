@@ -70,16 +70,26 @@ def normal_equations(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Equ
     """
     rows = max(BLOCK, -(-samples.size // CORES))  # of all parts, so that one program serves them
     parts = [_moments(basis, norm, part) for part in regrouped([samples], rows)]
-    wi, wo, weight, *_ = _rule(_twice(basis), jnp.float64)
-    return _equations(basis, jnp.stack(parts), samples.channels, Samples.scattered(wi, wo, weight[:, None], weight))
+    return equations(basis, jnp.stack(parts), samples.channels)
+
+
+def equations(basis: IsotropicBasis, sums: Float[Array, "parts sums"], channels: int) -> Equations:
+    """From the sums of all parts: see `_moments`."""
+    wi, wo, weight, *_ = _rule(twice_order(basis), jnp.float64)
+    return _equations(basis, sums, channels, Samples.scattered(wi, wo, weight[:, None], weight))
+
+
+def sums_size(basis: IsotropicBasis, channels: int) -> int:
+    """How many there are."""
+    return sum(_sizes(basis, channels))
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _moments(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Float[Array, " sums"]:
     """Σ w f² per channel, and the sums of Legendre polynomials: with w for twice the order, with w f for the order."""
-    twice = _twice(basis)
-    once_parts, twice_parts = _bands(basis), _bands(twice)
-    legendre = _legendre(twice.basis.radial_counts()[0])
+    twice = twice_order(basis)
+    once_parts, twice_parts = bands(basis), bands(twice)
+    legendre = legendre_tables(twice.basis.radial_counts()[0])
 
     def visit(sums, wi, wo, value, weight):
         weight = weight * norm.fit_weight(wi, wo)
@@ -87,31 +97,33 @@ def _moments(basis: IsotropicBasis, norm: Norm, samples: Samples) -> Float[Array
         chart_i, chart_o = basis.basis.chart(wi), basis.basis.chart(wo)
         azimuth = powers(*_difference_chart(chart_i, chart_o), twice.basis.order + 1)
         azimuth = azimuth[:1] if basis.bilateral else azimuth
-        pi, po = (radial_rows(legendre, _centred(basis.basis, chart.x))[0] for chart in (chart_i, chart_o))
+        pi, po = (radial_rows(legendre, centred(basis.basis, chart.x))[0] for chart in (chart_i, chart_o))
         found = [jnp.sum(weight[:, None] * series**2, axis=0)]
         found += [_band_sums(band, azimuth, pi, po, weight[None]).ravel() for band in twice_parts]
         weighted = (weight[:, None] * series).T
         found += [_band_sums(band, azimuth, pi, po, weighted).ravel() for band in once_parts]
         return sums + jnp.concatenate(found)
 
-    return fold(samples, BLOCK, jnp.zeros(sum(_sizes(basis, samples.channels)), samples.value.dtype), visit)
+    return fold(samples, BLOCK, jnp.zeros(sums_size(basis, samples.channels), samples.value.dtype), visit)
 
 
 def _sizes(basis: IsotropicBasis, channels: int) -> list[int]:
     """Of the parts of the sums, in their order."""
     turns = 1 if basis.bilateral else 2
-    sizes = [[turns * (band.stop - band.start) * band.degrees**2 for band in _bands(b)] for b in (_twice(basis), basis)]
+    sizes = [
+        [turns * (band.stop - band.start) * band.degrees**2 for band in bands(b)] for b in (twice_order(basis), basis)
+    ]
     return [channels, *sizes[0], *(channels * size for size in sizes[1])]
 
 
 @partial(jax.jit, static_argnums=(0, 2))
 def _equations(basis: IsotropicBasis, sums: Float[Array, "parts sums"], channels: int, rule: Samples) -> Equations:
-    twice = _twice(basis)
+    twice = twice_order(basis)
     edges = np.cumsum(_sizes(basis, channels))[:-1].tolist()
     square, *parts = jnp.split(jnp.sum(sums, axis=0), edges)
-    bands = _bands(twice)
-    moments = _inner(twice, bands, parts[: len(bands)], 1)[:, 0]
-    right = _inner(basis, _bands(basis), parts[len(bands) :], channels)
+    of_twice = bands(twice)
+    moments = _inner(twice, of_twice, parts[: len(of_twice)], 1)[:, 0]
+    right = _inner(basis, bands(basis), parts[len(of_twice) :], channels)
     return Equations(_gram(basis, moments, rule), right, square)
 
 
@@ -123,7 +135,7 @@ class Band(NamedTuple):
     degrees: int
 
 
-def _bands(pairs: IsotropicBasis) -> list[Band]:
+def bands(pairs: IsotropicBasis) -> list[Band]:
     """Two: the higher half of the orders has half as many radial functions."""
     counts = pairs.basis.radial_counts()
     half = (len(counts) + 1) // 2
@@ -141,14 +153,14 @@ def _band_sums(band: Band, azimuth: Array, pi: Array, po: Array, weight: Array) 
 
 
 def _inner(
-    pairs: IsotropicBasis, bands: list[Band], sums: list[Array], channels: int
+    pairs: IsotropicBasis, split: list[Band], sums: list[Array], channels: int
 ) -> Float[Array, "modes channels"]:
     """Σ w B_k of every function, from the sums of Legendre polynomials."""
     n, to_radial = pairs.table(), _to_radial(pairs.basis)
     degrees = to_radial.shape[1]
     turns = 1 if pairs.bilateral else 2
     of_order = []
-    for band, part in zip(bands, sums, strict=True):
+    for band, part in zip(split, sums, strict=True):
         part = part.reshape(turns, band.stop - band.start, band.degrees, channels, band.degrees)
         change = jnp.asarray(to_radial[band.start : band.stop, : band.degrees, : band.degrees], part.dtype)
         radial = jnp.einsum("mja,tmacb,mkb->mtjkc", change, part, change, precision="highest")
@@ -163,7 +175,7 @@ def _inner(
 
 def _gram(basis: IsotropicBasis, moments: Float[Array, " twice"], rule: Samples) -> Float[Array, "modes modes"]:
     """BᵀWB: of the nodes of a rule, weighted such that they have the moments."""
-    twice = _twice(basis)
+    twice = twice_order(basis)
     n = twice.table()
     degrees = twice.basis.radial_counts()[0]
     part = jnp.asarray(n.norm, moments.dtype) * moments
@@ -194,7 +206,7 @@ def _rule(pairs: IsotropicBasis, dtype) -> PairRule:
     return PairRule(wi, wo, weight, degree, isotropic)
 
 
-def _twice(basis: IsotropicBasis) -> IsotropicBasis:
+def twice_order(basis: IsotropicBasis) -> IsotropicBasis:
     return IsotropicBasis(_doubled(basis.basis), basis.bilateral)
 
 
@@ -206,13 +218,13 @@ def _doubled(basis: AbstractBasis) -> AbstractBasis:
     return type(basis)(2 * basis.order)  # pyright: ignore[reportCallIssue]
 
 
-def _centred(basis: AbstractBasis, x: Array) -> Array:
+def centred(basis: AbstractBasis, x: Array) -> Array:
     """The radial variable on [-1, 1]: that of `SHR` is z."""
     return 2 * x - 1 if isinstance(basis, SHR) else x
 
 
 @lru_cache
-def _legendre(degrees: int) -> RadialTables:
+def legendre_tables(degrees: int) -> RadialTables:
     return radial_tables((degrees,), lambda m: np.sqrt(0.5), lambda m, n: jacobi_matrix(0, 0, n))
 
 
@@ -222,7 +234,7 @@ def _to_radial(basis: AbstractBasis) -> np.ndarray:
     degrees = basis.radial_counts()[0]
     x, weight = np.polynomial.legendre.leggauss(degrees)
     own = (x + 1) / 2 if isinstance(basis, SHR) else x
-    radial, legendre = _host_rows(basis.tables(), own), _host_rows(_legendre(degrees), x)[0]
+    radial, legendre = _host_rows(basis.tables(), own), _host_rows(legendre_tables(degrees), x)[0]
     return np.einsum("mjq,aq,q->mja", radial, legendre, weight)
 
 

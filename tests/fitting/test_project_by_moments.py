@@ -1,5 +1,6 @@
 """Projection by moments: the same as by QR."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -92,17 +93,65 @@ def test_what_is_refused():
         project_by_moments(BASES["HSH"], samples(), norm="Z")
 
 
-def test_nodes_of_a_table_folded_or_not():
+def table(mirror: bool = True, holes: bool = False) -> HalfVectorTable:
+    """Noise; nodes of φ_d with mirror images, or without; lines with holes, which hold no number."""
+    rng = np.random.default_rng(8)
     h, d, f = (np.arange(n) / n for n in (24, 16, 24))
-    values = np.random.default_rng(8).uniform(0.1, 1, (24, 16, 24, 3))
-    table = HalfVectorTable(*(jnp.asarray(x, DTYPE) for x in (values, h**2 * np.pi / 2, d * np.pi / 2, f * np.pi)))
-    basis = BASES["HSH"]
-    expected = project(basis, table.node_samples(), reciprocity=False)
+    values = rng.uniform(0.1, 1, (24, 16, 24, 3))
+    measured = None
+    if holes:
+        measured = rng.uniform(size=values.shape[:3]) < 0.7
+        measured[3, 4] = measured[:, :, 5] = False
+        values = np.where(measured[..., None], values, np.nan)
+        measured = jnp.asarray(measured)
+    phi_d = (f if mirror else f**1.1) * np.pi
+    axes = (jnp.asarray(x, DTYPE) for x in (values, h**2 * np.pi / 2, d * np.pi / 2, phi_d))
+    return HalfVectorTable(*axes, measured=measured)
+
+
+def test_nodes_of_a_table_folded_or_not():
+    basis, given = BASES["HSH"], table()
+    expected = project(basis, given.node_samples(), reciprocity=False)
     for folded in (False, True):
-        fit = project_by_moments(basis, table.node_samples(folded=folded))
+        fit = project_by_moments(basis, given.node_samples(folded=folded))
         assert fit.method == "moments"
         assert_close(fit.model.coefficients, expected.model.coefficients, tolerance=1e-10 if X64 else 2e-4)
     assert np.all(np.asarray(fit.residual) < np.asarray(expected.residual))
+
+
+@pytest.mark.parametrize(("name", "norm", "mirror", "holes"), [
+    ("HSH", "D", True, False), ("HSH", "A", False, True), ("HSH", "E", True, True), ("HSH of order 0", "D", True, True),
+    ("Zernike", "D", True, True), ("SHR", "C", False, False), ("HSH, not bilateral", "D", True, True),
+])  # fmt: skip
+def test_a_table_line_by_line(name, norm, mirror, holes):
+    basis, given = BASES[name], table(mirror, holes)
+    expected = project(basis, given.node_samples(folded=basis.bilateral), norm=norm, reciprocity=False)
+    fit = project_by_moments(basis, given, norm=norm)
+    assert (fit.method, fit.samples) == ("moments", expected.samples)
+    assert fit.model.coefficients.dtype == DTYPE
+    tolerance = 1e-10 if X64 else 5e-4
+    assert_close(fit.model.coefficients, expected.model.coefficients, tolerance=tolerance)
+    assert_close(fit.residual, expected.residual, tolerance=tolerance)
+    assert_close(fit.condition, expected.condition, tolerance=1e-9 if X64 else 1e-2)
+
+
+def test_a_table_that_cannot_be_fitted():
+    given = table()
+    broken = eqx.tree_at(lambda t: t.values, given, given.values.at[2, 3, 4, 1].set(jnp.nan))
+    with pytest.raises(ValueError, match="NaN or infinite values"):
+        project_by_moments(BASES["HSH"], broken)
+    few = eqx.tree_at(lambda t: t.measured, given, jnp.zeros(given.values.shape[:3], bool).at[5, 2:4].set(True),
+                      is_leaf=lambda leaf: leaf is None)  # fmt: skip
+    with pytest.raises(ValueError, match="lower the order"):
+        project_by_moments(BASES["HSH"], few)
+
+
+def test_a_table_of_few_nodes_goes_to_qr():
+    basis = IsotropicBasis(HSH(8))
+    fit = project_by_moments(basis, table())
+    assert fit.method == "QR"
+    expected = project(basis, table().node_samples(folded=True), reciprocity=False)
+    assert_close(fit.model.coefficients, expected.model.coefficients)
 
 
 def test_what_moments_do_not_pay_for_goes_to_project():
