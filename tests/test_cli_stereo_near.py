@@ -39,6 +39,7 @@ def archive(tmp_path):
     return write
 
 
+@pytest.mark.slow
 def test_a_ball_seen_and_lit_from_nearby(archive, tmp_path):
     path, photographs, origin, height = archive(EYE)
     out = tmp_path / "out"

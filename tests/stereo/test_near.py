@@ -32,7 +32,13 @@ def as_far(photographs):
     return replace(photographs, lights=lights, camera=None)
 
 
-@pytest.fixture(scope="module", params=CASES, ids=NAMES)
+SOLVED = [
+    pytest.param(case, marks=[] if name == "both" else pytest.mark.slow)
+    for case, name in zip(CASES, NAMES, strict=True)
+]
+
+
+@pytest.fixture(scope="module", params=SOLVED, ids=NAMES)
 def solved(request):
     photographs = ball(*request.param)
     return request.param, photographs, solve_calibrated(photographs, **QUICK)
@@ -84,6 +90,7 @@ def test_far_lights_are_the_limit():
     assert mean_error(found, far) < mean_error(expected, far) + 0.5
 
 
+@pytest.mark.slow
 def test_the_world_may_be_turned():
     """The camera looks along +x, say: the frame of its axis has a pole at -z, and nobody's normals meet it."""
     world = rotation()
@@ -102,6 +109,7 @@ def test_a_camera_far_away_may_be_turned():
     assert np.median(np.abs(predict(two) - predict(one))) < 2e-3 * np.max(predict(one))
 
 
+@pytest.mark.slow
 def test_the_unit_of_the_scene_does_not_matter():
     one, two = (solve_calibrated(ball(4.0, EYE, scale=scale), **QUICK) for scale in (1.0, 1000.0))
     assert np.median(angular_errors(one.normals, two.normals)) < 0.1

@@ -43,6 +43,7 @@ def test_equal_intensities_are_a_better_start_where_they_are():
     assert light_error(solve_uncalibrated(even, equal=True, **QUICK), scene) < 2.0
 
 
+@pytest.mark.slow
 def test_lights_that_are_given_are_not_looked_at():
     scene = sphere()
     quick = QUICK | {"turns": 1, "rounds": 1, "sweeps": 0}
