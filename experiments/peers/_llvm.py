@@ -19,23 +19,23 @@ PLACES = ("/usr/lib/*", "/usr/lib", "/usr/lib64", "/usr/lib/llvm*/lib", "/usr/lo
 def llvm_library() -> str:
     """What to set DRJIT_LIBLLVM_PATH to: its own value, else a library of a version that works.
 
-    Looks below `llvm/` in the folder of the peers, then asks the loader, then looks at the usual places of Linux.
+    Looks below `llvm/` in the folder of the peers, then at the usual places of Linux, then asks the loader.
 
     **Raises:** PeerUnavailableError that says what to install.
     """
     if chosen := os.environ.get(VARIABLE):
-        if not Path(chosen).is_file():
+        if os.sep in chosen and not Path(chosen).is_file():  # a bare name is for the loader to find
             raise PeerUnavailableError(f"{VARIABLE} is {chosen!r}, which is no file")
         return chosen
     own = folder() / "llvm"
     for version in VERSIONS:
         if found := _named(own.rglob("libLLVM*.so*"), version):
             return found
-        if found := ctypes.util.find_library(f"LLVM-{version}"):
-            return found
         for place in PLACES:
             if found := _named(Path("/").glob(f"{place[1:]}/libLLVM*.so*"), version):
                 return found
+        if found := ctypes.util.find_library(f"LLVM-{version}"):  # a bare name, on Linux
+            return found
     raise PeerUnavailableError(
         f"no LLVM of versions {', '.join(map(str, sorted(VERSIONS)))} found. Debian: `apt-get install libllvm19`, or "
         f"without root `apt-get download libllvm19 && dpkg -x libllvm19_*.deb {own}`; or name the library, "

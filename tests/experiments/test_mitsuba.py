@@ -89,6 +89,8 @@ def test_llvm_is_the_one_that_is_named(monkeypatch, tmp_path):
     library.unlink()
     with pytest.raises(peers.PeerUnavailableError, match=r"DRJIT_LIBLLVM_PATH is .* which is no file"):
         peers.llvm_library()
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "libLLVM.so.19.1")  # what the loader is to find
+    assert peers.llvm_library() == "libLLVM.so.19.1"
 
 
 def test_llvm_is_found_in_the_folder_of_the_peers(monkeypatch, tmp_path):
