@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from hshjax.cli._console import Misuse, Text, complaints, console, failure, guarded, typer
+from hshjax.cli._console import Misuse, Text, check_targets, complaints, console, failure, guarded, typer
 
 SOLVERS = {"known": "solve_calibrated", "unknown-intensities": "solve_semi_calibrated", "unknown": "solve_uncalibrated"}
 """What is known of the lights, and the function of `hshjax.stereo` for it."""
@@ -142,12 +142,7 @@ def _check_paths(path: Path, out: Path, force: bool) -> None:
         raise failure(f"{path}: there is no such file or folder")
     if out.exists() and out.resolve() in (path.resolve(), path.resolve().parent):
         raise failure(f"{out} holds the photographs: results go into another folder")
-    if not out.absolute().parent.is_dir():
-        raise failure(f"{out}: there is no folder {out.absolute().parent}")
-    if out.exists() and not out.is_dir():
-        raise failure(f"{out} is a file: --out takes a folder")
-    if out.is_dir() and any(out.iterdir()) and not force:
-        raise failure(f"{out} is there and not empty: --force writes over files of the same names")
+    check_targets(force=force, folder=out)
 
 
 def _solver(lights: str, options: dict[str, Any]) -> Callable:
