@@ -12,12 +12,12 @@ import jax
 
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import AbstractBRDF
+from hshjax.fitting._by_turns import by_turns
 from hshjax.fitting._compare import Comparison, compare
 from hshjax.fitting._folder_plan import Plan, planned
 from hshjax.fitting._folder_results import digest, settled, write_result
 from hshjax.fitting._folder_summary import line, row, summary, write_summary
 from hshjax.fitting._material import MaterialFit, MaterialModel, fit_material
-from hshjax.fitting._spread import spread
 from hshjax.io.folder import Listed
 from hshjax.io.measured import Findings, Negatives, check_negatives
 from hshjax.io.read_material import read_material
@@ -139,7 +139,7 @@ def _fit_all(
         rows[listed.name] = one(listed)  # by the thread itself: after Ctrl-C nobody asks it
         return rows[listed.name]
 
-    with closing(spread(kept, plan.todo, devices)) as results:
+    with closing(by_turns(kept, plan.todo, devices)) as results:
         for count, (_, found) in enumerate(results, 1):
             if watch is not None:
                 watch(count, len(plan.todo), found)

@@ -1,4 +1,4 @@
-"""Independent work, spread over devices: a thread each, in which JAX computes on that device."""
+"""Independent work by turns on several devices: a thread each, in which JAX computes on that device."""
 
 import queue
 import threading
@@ -15,7 +15,7 @@ Item = TypeVar("Item")
 Found = TypeVar("Found")
 
 
-def spread(
+def by_turns(
     work: Callable[[Item], Found], items: Sequence[Item], devices: Sequence[Any] | None = None
 ) -> Generator[tuple[int, Found], None, None]:
     """`work(item)` of every item: the item's number and what was found, as it is done.
@@ -28,7 +28,7 @@ def spread(
     those that other threads are at are waited for: a thread in a compiled program cannot be stopped.
     """
     if devices is not None and not devices:
-        raise ValueError("work is spread over one device or more, got none")
+        raise ValueError("work is done on one device or more, got none")
     if devices is None or len(devices) == 1:
         for k, item in enumerate(items):
             with nullcontext() if devices is None else jax.default_device(devices[0]):
