@@ -96,6 +96,20 @@ def test_bad_input_and_misuse_are_told_apart(folder, tmp_path):
     assert sorted(tmp_path.rglob("*")) == before
 
 
+def test_a_folder_is_listed(folder):
+    done = run("info", folder)
+    assert done.exit_code == 0, done.output + done.stderr
+    assert "2 materials of 3 entries" in done.stdout.replace("\n", " ")
+    assert "saved model" in done.stdout
+    listed = json.loads(run("info", folder, "--json").stdout)
+    assert listed["materials"] == 2
+    assert {one["name"]: one["kind"] for one in listed["entries"]} == {
+        "README": "other", "red & <i>.x": "material", "second": "material",
+    }  # fmt: skip
+    for arguments in (("info", folder, "--energy"), ("info", folder / "second", "--recursive")):
+        assert run(*arguments).exit_code == 2
+
+
 def test_ctrl_c_leaves_a_summary_of_what_is_missing(folder, tmp_path, monkeypatch):
     out, whole = tmp_path / "out", []
 
