@@ -39,6 +39,7 @@ def test_a_folder_is_fitted_reported_and_gone_on_with(folder, tmp_path):
     done = run("fit", folder, *SMALL, "--out", out)
     assert done.exit_code == 0, done.output + done.stderr
     assert "2 done, 1 skipped" in done.stdout
+    assert "2/2 second: " in done.stderr
     assert "skipped: README (no material: a file that begins with b'materials')" in done.stderr
     assert {path.name for path in out.iterdir()} == {
         "red & <i>.x", "second", "report.html", "summary.csv", "summary.json",
@@ -123,7 +124,7 @@ def test_ctrl_c_leaves_a_summary_of_what_is_missing(folder, tmp_path, monkeypatc
         patched.setattr("hshjax.cli._fit_folder.save_spheres", stopping)
         done = run("fit", folder, *SMALL, "--out", out)
     assert done.exit_code == 130
-    assert "interrupted: 1 materials are done, 1 are missing" in done.stderr
+    assert "interrupted: 1 of 2 materials are done" in done.stderr
     assert {path.name for path in out.iterdir()} == {"red & <i>.x", "report.html", "summary.csv", "summary.json"}
     assert "Missing" in (out / "report.html").read_text()
     assert run("fit", folder, *SMALL, "--out", out).exit_code == 0

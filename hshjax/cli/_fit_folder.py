@@ -11,10 +11,9 @@ from rich.text import Text
 from hshjax.cli._console import BAD_INPUT, INTERRUPTED, Figures, Misuse, complaints, console, failure, typer
 from hshjax.cli._devices import threads_on_devices
 from hshjax.cli._fit_figures import describe_data, describe_fit
-from hshjax.cli._folder_report import REPORT, write_report
+from hshjax.cli._folder_report import write_report
 from hshjax.cli._spheres import save_spheres, shown
-
-TOTALS = "summary.json"
+from hshjax.fitting._folder_summary import REPORT, TABLE, TOTALS
 
 
 def fit_all(folder: Path, out: Path | None, settings: dict[str, Any], *, devices: int, as_json: bool) -> None:
@@ -38,10 +37,8 @@ def fit_all(folder: Path, out: Path | None, settings: dict[str, Any], *, devices
         if _stamp(out) == before:  # not one was begun
             raise
         counts = _reported(out)["counts"]
-        left = f"{counts['done']} materials are done, {counts['missing']} are missing"
-        raise failure(
-            f"interrupted: {left} ({out / 'summary.csv'} says which); the same command goes on", INTERRUPTED
-        ) from None
+        done = f"{counts['done']} of {counts['done'] + counts['missing']} materials are done"
+        raise failure(f"interrupted: {done}, {out / TABLE} says which; the same command goes on", INTERRUPTED) from None
     content = _reported(out)
     if as_json:
         typer.echo((out / TOTALS).read_text(encoding="utf-8"), nl=False)
@@ -73,12 +70,12 @@ def _finish(beside: Path, item: Any) -> dict[str, Any]:
 
 
 class _Bars:
-    """A bar over files with the time that is left, and a line for each file that fails."""
+    """A bar over files with the time that is left, and a line for each that fails; without a terminal a line a file."""
 
     def __init__(self) -> None:
         columns = (
             TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-            TextColumn("left"), TimeRemainingColumn(elapsed_when_finished=False),
+            TextColumn("left"), TimeRemainingColumn(),
         )  # fmt: skip
         self._bars = Progress(*columns, console=complaints, transient=True, speed_estimate_period=3600)
 
@@ -91,20 +88,23 @@ class _Bars:
 
     def watch(self, count: int, total: int, row: dict[str, Any] | None) -> None:
         if row is None:
-            if total:
+            if total and complaints.is_terminal:
                 self._bars.start()
                 self._bars.add_task("materials", total=total)
             return
-        self._bars.update(self._bars.task_ids[-1], completed=count)
+        if complaints.is_terminal:
+            self._bars.update(self._bars.task_ids[-1], completed=count)
         if row["status"] == "failed":
-            self._bars.console.print(Text(f"{row['name']}: {row['reason']}", style="red"), soft_wrap=True)
+            complaints.print(Text(f"{row['name']}: {row['reason']}", style="red"), soft_wrap=True)
+        elif not complaints.is_terminal:
+            complaints.print(f"{count}/{total} {row['name']}: {row['seconds']:.1f} s", soft_wrap=True)
 
 
 def _show(content: dict[str, Any], out: Path) -> None:
     """Totals and the worst materials, and where everything is."""
     table = Table(title=Text(f"{content['folder']}: {content['options']['model']}"), title_justify="left")
     for name in ("", "mean", "median", "worst", "of"):
-        table.add_column(name, justify="left" if name in ("", "of") else "right")
+        table.add_column(name, justify="left" if name in ("", "of") else "right", overflow="fold")
     for name, total in content["totals"].items():
         if total is not None:
             numbers = (f"{total[key]:.4g}" for key in ("mean", "median", "worst"))
@@ -113,7 +113,7 @@ def _show(content: dict[str, Any], out: Path) -> None:
     console.print(", ".join(f"{count} {status}" for status, count in counts.items() if count))
     if counts["done"]:
         console.print(table)
-    console.print(f"folder: {out} (summary.csv, summary.json, {REPORT})", soft_wrap=True)
+    console.print(f"folder: {out} ({TABLE}, {TOTALS}, {REPORT})", soft_wrap=True)
 
 
 def _complain(content: dict[str, Any], out: Path) -> None:
@@ -126,6 +126,4 @@ def _complain(content: dict[str, Any], out: Path) -> None:
     counts = content["counts"]
     if counts["failed"]:
         of = counts["failed"] + counts["done"]
-        raise failure(
-            f"{counts['failed']} of {of} materials were not fitted: {out / 'summary.csv'} says why", BAD_INPUT
-        )
+        raise failure(f"{counts['failed']} of {of} materials were not fitted: {out / TABLE} says why", BAD_INPUT)

@@ -4,15 +4,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hshjax.cli._page import Picture, environment
+from hshjax.fitting._folder_summary import REPORT
 from hshjax.io._replace import replacing
-
-REPORT = "report.html"
 
 FIGURES = {
     "coefficients": "coefficients",
     "relative_error_A": "error, norm A",
-    "relative_error_D": "norm D",
-    "relative_error_E": "norm E",
+    "relative_error_D": "error, norm D",
+    "relative_error_E": "error, norm E",
     "log_error": "log error",
     "largest_albedo": "largest albedo",
     "seconds": "seconds",

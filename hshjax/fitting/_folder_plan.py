@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from hshjax.fitting._folder_results import SUMMARY, difference, digest, finished, refusal
-from hshjax.fitting._folder_summary import foreign_summary, row
+from hshjax.fitting._folder_summary import REPORT, TABLE, TOTALS, foreign_summary, row
 from hshjax.io.folder import Listed, list_materials
 
 
@@ -33,6 +33,10 @@ def planned(folder: Path, out: Path, settings: dict[str, Any], *, recursive: boo
         if one.kind != "material":
             status = "failed" if one.kind == "unreadable" else "skipped"
             plan.rows[one.name] = row(one.name, status, one.reason)
+            continue
+        if one.name in (TABLE, TOTALS, REPORT):
+            why = f"its result would lie where {one.name} of the folder does: give the file another name"
+            plan.rows[one.name] = row(one.name, "failed", why)
             continue
         place = out / one.name
         if top.is_relative_to(end / one.name):

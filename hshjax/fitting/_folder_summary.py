@@ -18,7 +18,9 @@ from hshjax.io._replace import replacing
 KIND = "hshjax fit of a folder"
 """What a summary.json says it is."""
 
-TABLE, TOTALS = "summary.csv", "summary.json"
+TABLE, TOTALS, REPORT = "summary.csv", "summary.json", "report.html"
+"""Of a folder of results; the last is written by `hshjax fit`."""
+
 STATUSES = ("done", "failed", "missing", "skipped")
 """Of a file: fitted; not to be read or fitted; not yet fitted; no material."""
 
@@ -45,7 +47,12 @@ def line(format: str, model: str, fit: MaterialFit, errors: Comparison, seconds:
 
 def row(name: str, status: str, reason: str = "", figures: Mapping[str, Any] = {}) -> dict[str, Any]:
     """A row with all columns; what is not known is None."""
-    return dict.fromkeys(COLUMNS) | {"name": name, "status": status, "reason": reason} | dict(figures)
+    return dict.fromkeys(COLUMNS) | {"name": name, "status": status, "reason": _told(reason)} | dict(figures)
+
+
+def _told(words: str) -> str:
+    """What a file in UTF-8 can hold: paths may have other bytes."""
+    return words.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def summary(folder: Path, settings: dict[str, Any], rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -53,7 +60,7 @@ def summary(folder: Path, settings: dict[str, Any], rows: Sequence[dict[str, Any
     done = [one for one in rows if one["status"] == "done"]
     count = Counter(one["status"] for one in rows)
     return {
-        "kind": KIND, "folder": str(folder), **settings, "counts": {status: count[status] for status in STATUSES},
+        "kind": KIND, "folder": _told(str(folder)), **settings, "counts": {status: count[status] for status in STATUSES},
         "totals": {column: _total(done, column) for column in (*ERRORS, "largest_albedo", "seconds")},
         "materials": list(rows),
     }  # fmt: skip

@@ -62,7 +62,8 @@ def list_materials(
 
 
 def _name(path: Path, top: Path) -> str:
-    return path.relative_to(top).as_posix()
+    """Bytes that are no UTF-8 as escapes: so named, a file cannot be written about."""
+    return path.relative_to(top).as_posix().encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _passed_over(path: Path, recursive: bool, own: Path | None) -> str:
@@ -80,6 +81,8 @@ def _passed_over(path: Path, recursive: bool, own: Path | None) -> str:
 
 
 def _file(path: Path, name: str) -> Listed:
+    if not path.as_posix().endswith(name):
+        return Listed(path, name, "unreadable", reason="a name that is no UTF-8: give it another one")
     try:
         with path.open("rb") as file:
             saved = model.sniff(file.read(HEAD))

@@ -176,6 +176,14 @@ def test_the_tree_is_kept_and_results_within_are_no_materials(folder):
     assert (folder / "fits" / "cloth" / "red" / "model.hshjax").exists()
 
 
+def test_a_material_named_like_a_summary_has_failed(folder, tmp_path):
+    shutil.copy(folder / "grey", folder / "summary.csv")
+    for _ in range(2):
+        found = fit_folder(folder, tmp_path / "out", **SMALL)
+        assert {row["name"]: row["status"] for row in found.rows}["summary.csv"] == "failed"
+        assert (tmp_path / "out" / "summary.csv").is_file()
+
+
 def test_what_would_be_lost_or_makes_no_sense_is_refused(folder, tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "in2" / "in2").mkdir(parents=True)

@@ -60,6 +60,19 @@ def test_folders_within_are_looked_into_but_for_links_and_results(folder):
     assert listed["fits"].reason == "the folder of the results"
 
 
+def test_a_name_that_cannot_be_written_is_told(tmp_path):
+    name = os.path.join(os.fsencode(tmp_path), b"caf\xe9.csv")
+    try:
+        with open(name, "wb") as file:
+            file.write(seeds.MEASURED["csv"]())
+    except OSError:
+        pytest.skip("a file system that takes UTF-8 only")
+    (one,) = list_materials(tmp_path)
+    assert one.kind == "unreadable"
+    assert one.name == "caf\\udce9.csv"
+    assert "no UTF-8" in one.reason
+
+
 def test_a_folder_that_cannot_be_read_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
     for name in ("gone", "file"):
