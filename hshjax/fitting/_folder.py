@@ -15,7 +15,7 @@ from hshjax.brdfs import AbstractBRDF
 from hshjax.fitting._by_turns import by_turns
 from hshjax.fitting._compare import Comparison, compare
 from hshjax.fitting._folder_plan import Plan, planned
-from hshjax.fitting._folder_results import digest, settled, write_result
+from hshjax.fitting._folder_results import digest, settled, sweep, write_result
 from hshjax.fitting._folder_summary import line, row, summary, write_summary
 from hshjax.fitting._material import MaterialFit, MaterialModel, fit_material
 from hshjax.io.folder import Listed
@@ -100,6 +100,7 @@ def fit_folder(
     options = settled(said | {"negatives": negatives})
     plan = planned(source, target, options, recursive=recursive, force=force)
     target.mkdir(exist_ok=True)
+    sweep(target)
     rows = dict(plan.rows)
 
     def one(listed: Listed) -> dict[str, Any]:

@@ -4,6 +4,8 @@ import hashlib
 import importlib.metadata
 import json
 import math
+import shutil
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,14 @@ import jax
 
 from hshjax.brdfs import AbstractBRDF, LogLinearBRDF
 from hshjax.io import save_model
-from hshjax.io._replace import replacing_folder
+from hshjax.io._replace import HALF_WRITTEN, replacing_folder
 
 MODEL = "model.hshjax"
 METRICS = "metrics.json"
 """Of a result; comes last, so that nothing half-written has one."""
+
+ABANDONED = 3600.0
+"""Seconds after which what is written beside its place is nobody's: writing a result takes no such time."""
 
 SOURCE, SUMMARY = "source", "summary"
 """Its keys beside the figures: what it is a result of, and its line of the summary."""
@@ -86,6 +91,19 @@ def write_result(
         metrics = figures(beside) | {SUMMARY: line, SOURCE: source}
         text = json.dumps(plain(metrics), indent=1, ensure_ascii=False, allow_nan=False)
         (beside / METRICS).write_text(text + "\n", encoding="utf-8")
+
+
+def sweep(out: Path) -> None:
+    """Removes what processes that were killed have left half-written, long ago: another one may be at work."""
+    for path in out.rglob(HALF_WRITTEN):
+        try:
+            old = time.time() - path.stat().st_mtime > ABANDONED
+        except FileNotFoundError:  # by now it has its name
+            continue
+        if old and path.is_dir():
+            shutil.rmtree(path)
+        elif old:
+            path.unlink()
 
 
 def numbers_of(model: AbstractBRDF) -> int:

@@ -60,7 +60,8 @@ def summary(folder: Path, settings: dict[str, Any], rows: Sequence[dict[str, Any
     done = [one for one in rows if one["status"] == "done"]
     count = Counter(one["status"] for one in rows)
     return {
-        "kind": KIND, "folder": _told(str(folder)), **settings, "counts": {status: count[status] for status in STATUSES},
+        "kind": KIND, "folder": _told(str(folder)), **settings,
+        "counts": {status: count[status] for status in STATUSES},
         "totals": {column: _total(done, column) for column in (*ERRORS, "largest_albedo", "seconds")},
         "materials": list(rows),
     }  # fmt: skip

@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+HALF_WRITTEN = ".hshjax-*.partial"
+"""The pattern of names beside a place."""
+
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:

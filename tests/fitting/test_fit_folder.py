@@ -2,7 +2,9 @@
 
 import csv
 import json
+import os
 import shutil
+import time
 
 import jax
 import jax.numpy as jnp
@@ -174,6 +176,20 @@ def test_the_tree_is_kept_and_results_within_are_no_materials(folder):
             "README": "skipped", "broken": "failed", "cloth/red": "done", "grey": "done", **results,
         }  # fmt: skip
     assert (folder / "fits" / "cloth" / "red" / "model.hshjax").exists()
+
+
+def test_what_was_left_half_written_long_ago_is_removed(folder, tmp_path):
+    out = tmp_path / "out"
+    for name, age in (("a", 7200), ("b", 10)):
+        beside = out / "cloth" / f".hshjax-{name}.partial"
+        beside.mkdir(parents=True)
+        (beside / "model.hshjax").write_text("half")
+        (out / f".hshjax-{name}.partial").write_text("half")
+        for path in (beside, out / beside.name):
+            os.utime(path, (time.time() - age,) * 2)
+    fit_folder(folder, out, **SMALL)
+    left = [path.relative_to(out).as_posix() for path in sorted(out.rglob(".*"))]
+    assert left == [".hshjax-b.partial", "cloth/.hshjax-b.partial"]
 
 
 def test_a_material_named_like_a_summary_has_failed(folder, tmp_path):
