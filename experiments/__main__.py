@@ -51,6 +51,9 @@ def main(
     keep_stages: Annotated[
         bool, typer.Option("--keep-stages", help="Resume even if the code has changed since the interruption.")
     ] = False,
+    devices: Annotated[
+        int | None, typer.Option(min=1, help="Devices of JAX for all configs, as the key devices=N of each.")
+    ] = None,
     list_recipes: Annotated[bool, typer.Option("--list", help="List the recipes.")] = False,
     describe: Annotated[str | None, typer.Option(metavar="RECIPE", help="Show the keys of a recipe.")] = None,
 ) -> None:
@@ -64,6 +67,7 @@ def main(
             return
         files = [Path(argument) for argument in arguments or [] if not configs.is_override(argument)]
         overrides = [argument for argument in arguments or [] if configs.is_override(argument)]
+        overrides += [] if devices is None else [f"devices={devices}"]
         if not files:
             raise configs.ConfigError("no config given; try: python -m experiments --help")
         # All are read before the first is run: a typing error in the last one shows at once.
@@ -74,6 +78,11 @@ def main(
     from experiments import runner  # jax only now: --help and errors need not wait for it
 
     voice = Voice()
+    try:
+        runner.start(max(config.devices for config in resolved))
+    except ValueError as error:
+        typer.echo(f"error: {error}", err=True)
+        raise typer.Exit(2) from None
     for config in resolved:
         try:
             report = runner.run(config, runs, voice, force=force, keep_stages=keep_stages)

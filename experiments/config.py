@@ -39,6 +39,7 @@ class RecipeConfig(Section):
     dtype: Annotated[Literal["float64", "float32"], Field(description="precision of directions and results")] = (
         "float64"
     )
+    devices: Annotated[int, Field(ge=1, description="of JAX: results are the same on any number, to rounding")] = 1
 
 
 def local_path(text: str) -> Path:
@@ -160,9 +161,14 @@ def as_table(config: RecipeConfig) -> dict[str, Any]:
     return config.model_dump(mode="json", exclude_none=True)
 
 
+HOW = ("devices",)
+"""Keys that say how a study is run and not what it is: its hash does not depend on them."""
+
+
 def digest(config: RecipeConfig) -> str:
-    """Eight hexadecimal digits that depend on every resolved value and not on the order of keys."""
-    canonical = json.dumps(as_table(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    """Eight hexadecimal digits that depend on every resolved value but `HOW`, and not on the order of keys."""
+    table = {key: value for key, value in as_table(config).items() if key not in HOW}
+    canonical = json.dumps(table, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(canonical.encode()).hexdigest()[:8]
 
 

@@ -8,17 +8,20 @@ import re
 import shutil
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, TypeVar
 
 import jax
 import numpy as np
+from jax.sharding import Mesh
 
 from experiments import stages
 from experiments.progress import Voice
 from experiments.report import Figure, Heading, Metric, Paragraph, Table, render
 from hshjax.cli._page import Picture
+from hshjax.fitting._by_turns import by_turns
 
 _Item = TypeVar("_Item")
 _Scalar = float | int | str | bool | None
@@ -32,11 +35,13 @@ class Record:
 
     - `folder`: where the run's files lie.
     - `seed`: root of `key` and `rng`.
+    - `devices`: of JAX, those that the config asks for; `mesh` is made of them.
     """
 
-    def __init__(self, folder: Path, seed: int, voice: Voice):
+    def __init__(self, folder: Path, seed: int, voice: Voice, devices: Sequence[jax.Device] | None = None):
         self.folder = folder
         self.seed = seed
+        self.devices = tuple(jax.devices()[:1] if devices is None else devices)
         self._voice = voice
         self._blocks: list[Heading | Paragraph | Table | Figure] = []
         self._metrics: dict[str, Metric] = {}
@@ -147,6 +152,36 @@ class Record:
             stages.save(path, compute(*args))
             self._voice.say(f"{name}: {time.monotonic() - start:.1f} s")
         return stages.load(path)
+
+    def stage_each(
+        self, arguments: Mapping[str, tuple[Any, ...]], compute: Callable[..., Any], description: str
+    ) -> list[Any]:
+        """`stage(name, compute, *arguments[name])` for all names, by turns on the devices: results in the same order.
+
+        `compute` is called in several threads where there are several devices; no result may depend on another.
+        """
+        paths = {name: self._file("stage", name, "npz") for name in arguments}
+        missing = [name for name, path in paths.items() if not path.exists()]
+        if len(missing) < len(paths):
+            self._voice.say(f"{description}: {len(paths) - len(missing)} finished before")
+        (self.folder / "stages").mkdir(exist_ok=True)
+
+        def kept(name: str) -> float:
+            start = time.monotonic()
+            stages.save(paths[name], compute(*arguments[name]))
+            return time.monotonic() - start
+
+        # A CPU that counts as several devices is one all the same: on one of them programs are compiled once.
+        turns = self.devices[:1] * len(self.devices) if self.devices[0].platform == "cpu" else self.devices
+        with closing(by_turns(kept, missing, turns)) as results:
+            for k, seconds in self.progress(results, description, len(missing)):
+                self._voice.say(f"{missing[k]}: {seconds:.1f} s")
+        return [stages.load(path) for path in paths.values()]
+
+    @property
+    def mesh(self) -> Mesh:
+        """The devices along one axis, for functions that take a mesh."""
+        return Mesh(np.asarray(self.devices), ("devices",))
 
     def progress(self, iterable: Iterable[_Item], description: str, total: int | None = None) -> Iterator[_Item]:
         """The items of a loop, with a sign of progress on standard error."""

@@ -16,9 +16,18 @@ import tomli_w
 from experiments import config as configs, recipes, stages
 from experiments.progress import Voice
 from experiments.record import Record
+from hshjax.cli._devices import several_devices
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("hshjax", "jax", "jaxlib", "equinox", "lineax", "optimistix", "numpy")
+
+
+def start(devices: int) -> None:
+    """Before anything is computed: JAX will have so many devices.
+
+    **Raises:** ValueError where it has not.
+    """
+    several_devices(devices)
 
 
 def folder_of(config: configs.RecipeConfig, runs: Path) -> Path:
@@ -32,7 +41,9 @@ def run(
     """Runs the recipe of a config, unless that is done already; the path of the report.
 
     The stages of an interrupted run are used again if code, versions and device are the same, or under `keep_stages`.
-    This is the one place that configures jax.
+    With `start`, this is the one place that configures jax.
+
+    **Raises:** ValueError where JAX has fewer devices than the config asks for.
     """
     jax.config.update("jax_enable_x64", config.dtype == "float64")
     folder = folder_of(config, runs)
@@ -62,7 +73,7 @@ def run(
     stages.write_text(folder / "config.toml", config_toml)
     stages.write_text(folder / "manifest.json", json.dumps(manifest, indent=2) + "\n")
 
-    record = Record(folder, config.seed, voice)
+    record = Record(folder, config.seed, voice, several_devices(config.devices))
     recipes.load(config.recipe).run(config, record)
     return record.finish(manifest, config_toml, recipes.summary(config.recipe))
 
@@ -79,6 +90,7 @@ def _manifest(config: configs.RecipeConfig, code: dict[str, str], before: dict[s
         "recipe": config.recipe,
         "seed": config.seed,
         "dtype": config.dtype,
+        "devices": config.devices,
         "started": now if before is None else before["started"],
         "resumed": [] if before is None else [*before["resumed"], now],
         "versions": {"python": platform.python_version()}

@@ -98,8 +98,10 @@ class _Judge:
         with np.load(local_path(config.folder) / REFERENCE) as file:
             self.pairs = {key: np.asarray(file[key], float) for key in file}
         self.cells, self.tables, self.images = cells(), {}, {}
-        for name, brdf in record.progress(self.materials.items(), "materials"):
-            known = record.stage(f"truth {name}", self._truth, brdf)
+        truths = record.stage_each(
+            {f"truth {name}": (brdf,) for name, brdf in self.materials.items()}, self._truth, "materials"
+        )
+        for name, known in zip(self.materials, truths, strict=True):
             self.tables[name], self.images[name] = known["table"], known["images"]
 
     def _truth(self, brdf: Callable) -> dict[str, Any]:

@@ -45,12 +45,14 @@ def run(config: Config, record: Record) -> None:
     rows: list[dict[str, Any]] = []
     networks = read_surrogates(local_path(config.surrogates))
     names = [name for k, name in enumerate(networks) if k % TUNED][:: config.every]
-    for name in record.progress(names, "surrogates"):
-        rows += record.stage(name, _surrogate, config, name, networks[name], record.rng(name))
+    arguments = {name: (config, name, networks[name], record.rng(name)) for name in names}
+    for found in record.stage_each(arguments, _surrogate, "surrogates"):
+        rows += found
     with np.load(local_path(config.measured)) as file:
         pairs = {key: np.asarray(file[key], float) for key in file}
-    for name in record.progress([key for key in pairs if key not in ("wi", "wo")], "measured materials"):
-        rows += record.stage(name, _measured, config, name, pairs, record.rng(name))
+    measured = {name: (config, name, pairs, record.rng(name)) for name in pairs if name not in ("wi", "wo")}
+    for found in record.stage_each(measured, _measured, "measured materials"):
+        rows += found
     summary = _summary(rows)
     record.paragraph(
         f"{len(names)} networks that stand in for MERL, none of those that the prior was chosen on, with noise of "

@@ -32,7 +32,7 @@ def compare(
 
       hshjax compare black_coating.txt coating.hshjax --json
     """
-    from hshjax.cli._fit import save_spheres
+    from hshjax.cli._spheres import save_spheres
     from hshjax.fitting import compare as compare_materials
     from hshjax.io import read_material
     from hshjax.samples import Samples

@@ -8,15 +8,9 @@ from typing import Annotated, Any, Literal
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hshjax.cli._console import Figures, Misuse, check_targets, complaints, console, failure, guarded, typer
-from hshjax.cli._describe import (
-    describe_coverage,
-    describe_energy,
-    describe_file,
-    describe_log_error,
-    describe_model,
-    numbers,
-)
-from hshjax.cli._options import File, Force, Json, Negatives
+from hshjax.cli._fit_figures import describe_data, describe_fit
+from hshjax.cli._options import Force, Json, Negatives
+from hshjax.cli._spheres import save_spheres, shown
 
 FILES = ("model.hshjax", "metrics.json", "spheres.png")
 """In the folder of a result."""
@@ -26,7 +20,13 @@ FAMILIES = {"hsh": "HSH", "zernike": "Zernike", "shr": "SHR"}
 
 @guarded
 def fit(
-    file: File,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="A measured material in any format that is read, or a model that `hshjax fit` saved; or a folder of "
+            "them, with --out."
+        ),
+    ],
     model: Annotated[
         Literal["linear", "compact", "inferred", "exp", "cook-torrance", "ggx"],
         typer.Option(
@@ -76,12 +76,20 @@ def fit(
         Path | None,
         typer.Option(
             help="A folder for model.hshjax, metrics.json and spheres.png; or a name that ends in .hshjax, for the "
-            "model alone [default: FILE with suffix .hshjax]."
+            "model alone [default: FILE with suffix .hshjax]. Of a folder: a folder for one such folder a file, and "
+            "summary.csv, summary.json, report.html."
         ),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="PNG of spheres: the measurement, where it is a table, and the fit.")
     ] = None,
+    recursive: Annotated[bool, typer.Option("--recursive", help="Of a folder: look into folders within it.")] = False,
+    devices: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Of a folder: so many GPUs, which the materials go round over; on a CPU, so many threads."
+        ),
+    ] = 1,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -91,6 +99,9 @@ def fit(
     order and the norm. Other models are fitted step by step, with a display of the loss. Angles that were not measured
     are extrapolated; which were is said.
 
+    Of a folder every material is fitted. Given again, the command goes on with what is missing; --force fits anew what
+    was made with other options, or of another content of the file.
+
     Examples:
 
       hshjax fit leather_rgb.bsdf --order 8 --out leather
@@ -99,16 +110,33 @@ def fit(
 
       hshjax fit plastic.binary --model compact --coefficients 100 --out plastic --json
 
+      hshjax fit database/ --model compact --out fits
+
     More is in docs/fit_a_material.md.
     """
     from hshjax import bases
     from hshjax.fitting import compare, fit_material
-    from hshjax.io import coverage, read_material, save_model
+    from hshjax.io import read_material, save_model
     from hshjax.io._replace import replacing, replacing_folder
-    from hshjax.samples import Samples
 
     if valid and model != "linear":
         raise Misuse(f"--valid is for the linear model; {model} is positive by construction")
+    settings: dict[str, Any] = {
+        "model": model, "basis": bases.IsotropicBasis(getattr(bases, FAMILIES[basis])(order)),
+        "coefficients": coefficients, "norm": norm, "ridge": ridge,
+        "constraints": ("non_negative", "energy") if valid else (),
+        "degree": max(64, 4 * order) if degree is None else degree, "max_steps": max_steps,
+    }  # fmt: skip
+    if file.is_dir():
+        from hshjax.cli._fit_folder import fit_all
+
+        if picture is not None:
+            raise Misuse("--picture is for one material; the results of a folder have spheres.png")
+        more = {"negatives": negatives, "recursive": recursive, "force": force}
+        fit_all(file, out, settings | more, devices=devices, as_json=as_json)
+        return
+    if recursive or devices > 1:
+        raise Misuse(f"--recursive and --devices are for a folder of materials; {file} is none")
     target = file.with_suffix(".hshjax") if out is None else out
     folder = target.suffix != ".hshjax"
     if out is None and target == file:
@@ -121,48 +149,22 @@ def fit(
     figures = Figures()
     with complaints.status("reading"):
         data, found = read_material(file, negatives=negatives)
-    if found is not None:
-        describe_file(figures, found)
-    beyond = None
-    if isinstance(data, Samples):
-        covered = coverage(data)
-        describe_coverage(figures, covered)
-        limits = f"beyond θ_i {covered.theta_i[1]:.4g} and θ_o {covered.theta_o[1]:.4g} degrees"
-        beyond = f"values {limits} and between incidences are extrapolated"
-    pairs = bases.IsotropicBasis(getattr(bases, FAMILIES[basis])(order))
+    beyond = describe_data(figures, data, found)
     with _display(max_steps) as begin, complaints.status("fitting") if model in CLOSED else nullcontext():
-        result = fit_material(
-            data, model, basis=pairs, coefficients=coefficients, norm=norm, ridge=ridge,
-            constraints=("non_negative", "energy") if valid else (),
-            degree=max(64, 4 * order) if degree is None else degree, max_steps=max_steps, on_step=begin,
-        )  # fmt: skip
+        result = fit_material(data, **settings, on_step=begin)
     with complaints.status("measuring errors"):
-        figures.add("model", model)
-        describe_model(figures, result.model)
-        where = "" if result.samples.degree is None else f" on a rule of degree {result.samples.degree}"
-        figures.add("samples", result.samples.size, words=f"{result.samples.size}{where}")
-        figures.add("fit_notes", result.notes, "decisions of the fit", "\n".join(result.notes) or "none")
-        _details(figures, result.details)
-        errors = compare(result.samples, result.model)
-        for name, value in errors.errors.items():
-            figures.add(f"relative_error_{name}", value, f"relative error, norm {name}", numbers(value))
-        describe_log_error(figures, errors.log_error)
-        describe_energy(figures, result.model)
-        if beyond is not None:
-            figures.add("extrapolated", beyond)
-            if model == "linear":
-                figures.add("advice", "a series rings between few incidences; --model inferred, or compact, does not")
+        describe_fit(figures, model, result, compare(result.samples, result.model), beyond)
     # Everything is written under hidden names first: what stops this leaves all as it was, and not a part of the files.
     with complaints.status("writing"), ExitStack() as last:
         if folder:
             beside = last.enter_context(replacing_folder(target))
             save_model(beside / "model.hshjax", result.model)
             (beside / "metrics.json").write_text(figures.json(), encoding="utf-8")
-            save_spheres(beside / "spheres.png", *_shown(data, result.model))
+            save_spheres(beside / "spheres.png", *shown(data, result.model))
         else:
             save_model(last.enter_context(replacing(target)), result.model)
         if picture is not None:
-            save_spheres(last.enter_context(replacing(picture)), *_shown(data, result.model))
+            save_spheres(last.enter_context(replacing(picture)), *shown(data, result.model))
     figures.show(f"{file.name}: {model}", as_json=as_json)
     if not as_json:
         console.print(f"folder: {target}" if folder else f"model: {target}", soft_wrap=True)
@@ -172,54 +174,6 @@ def fit(
 
 CLOSED = ("linear", "compact", "inferred")
 """Models that are found in one go, without steps to show."""
-
-
-def _details(figures: Figures, details: Any) -> None:
-    """What the fit says of itself."""
-    from hshjax.fitting import CompactFit, CompactPosterior, Fit
-
-    if isinstance(details, Fit):
-        _linear(figures, details)
-    elif isinstance(details, CompactFit):
-        figures.add("fitted_samples", details.samples, "fitted to", f"{details.samples} samples")
-        log = f"{1e3 * details.log_error:.3g} / 1000, mean |Δ ln(1 + ρ cos θ)| over them"
-        figures.add("fit_log_error", details.log_error, "log error", log)
-        figures.add("largest_albedo", details.albedo, words=f"{details.albedo:.4f}, up to 80 degrees")
-        figures.add("floored_share", details.floored, "below the floor", f"{details.floored:.2%} of their values")
-    elif isinstance(details, CompactPosterior):
-        figures.add("noise", details.noise, "noise, relative", f"{float(details.noise):.3g}")
-        figures.add("dark", details.dark, "noise counts as constant below", f"{float(details.dark):.3g} sr^-1")
-        factor = float(details.factor)
-        figures.add("deviation_factor", factor, "error bars scaled by", f"{factor:.3g}")
-    else:
-        figures.add("fit", list(dict.fromkeys(one.message for one in details)))
-        figures.add("steps", [int(one.steps) for one in details])
-        if len(details) == 1:
-            for name, value in _parameters(details[0].model).items():
-                figures.add(f"parameter {name}", value, name, numbers(value.ravel()))
-
-
-def _linear(figures: Figures, found: Any) -> None:
-    figures.add("unknowns", found.unknowns)
-    figures.add("condition_number", found.condition, words=f"{float(found.condition):.3g} ({found.method})")
-    if found.certificate is not None:
-        smallest, largest = float(found.certificate.smallest.min()), float(found.certificate.albedo.max())
-        verdict = "holds" if found.certificate.holds else "DOES NOT HOLD"
-        words = f"{verdict}: smallest value {smallest:.2g} sr^-1, largest albedo {largest:.7f}"
-        figures.add("certificate_holds", bool(found.certificate.holds), "certificate", words)
-    for name, error in (("measured", found.reciprocity_before), ("fitted", found.reciprocity_after)):
-        if error is not None:
-            words = f"{float(error.relative):.3g} ({error.pairs} pairs)"
-            figures.add(f"reciprocity_{name}", error.relative, f"violation of reciprocity, {name}", words)
-
-
-def _parameters(model: Any) -> dict[str, Any]:
-    """The arrays of a model by their names."""
-    import jax
-
-    from hshjax.fitting._bounds import path_name
-
-    return {path_name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(model)}
 
 
 @contextmanager
@@ -244,28 +198,3 @@ def _display(max_steps: int) -> Iterator[Callable[[str], Callable[[Any, Any], No
     finally:
         if bars.live.is_started:  # to stop what has not begun prints an empty line
             bars.stop()
-
-
-def _shown(data: Any, fitted: Any) -> list[Any]:
-    """What spheres can show: scattered samples have no value everywhere."""
-    from hshjax.samples import Samples
-
-    return [fitted] if isinstance(data, Samples) else [data, fitted]
-
-
-def save_spheres(path: Path, *brdfs: Any) -> None:
-    """Spheres side by side, all exposed as the first one; of other than 1 or 3 channels the middle one, in grey."""
-    import numpy as np
-
-    from hshjax import plotting
-    from hshjax.io._images import write_png
-
-    images = [displayable(plotting.sphere(brdf)) for brdf in brdfs]
-    shown = plotting.display(np.concatenate(images, axis=1), plotting.exposure(images[0]))
-    write_png(path, np.rint(255 * shown).astype(np.uint8))
-
-
-def displayable(image: Any) -> Any:
-    """An image of 1 or 3 channels: of another number the middle one."""
-    middle = image.shape[-1] // 2
-    return image if image.shape[-1] in (1, 3) else image[..., middle : middle + 1]

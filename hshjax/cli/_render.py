@@ -59,7 +59,7 @@ def render(
 
     from hshjax import plotting, surface
     from hshjax.camera import OrthographicCamera
-    from hshjax.cli._fit import displayable
+    from hshjax.cli._spheres import displayable
     from hshjax.io import read_material
     from hshjax.reflectance import picture
     from hshjax.samples import Samples

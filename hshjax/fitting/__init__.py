@@ -15,6 +15,7 @@ from hshjax.fitting._compact_posterior import (
 )
 from hshjax.fitting._compare import Comparison as Comparison, compare as compare
 from hshjax.fitting._fit import fit as fit
+from hshjax.fitting._folder import FolderFit as FolderFit, FolderItem as FolderItem, fit_folder as fit_folder
 from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._infer_compact import infer_compact as infer_compact
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt

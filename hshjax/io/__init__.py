@@ -11,6 +11,7 @@ from hshjax.io.csv_samples import (
 from hshjax.io.diligent import read_diligent as read_diligent
 from hshjax.io.errors import FileFormatError as FileFormatError
 from hshjax.io.exr import exr_channels as exr_channels, read_exr as read_exr, write_exr as write_exr
+from hshjax.io.folder import Listed as Listed, list_materials as list_materials
 from hshjax.io.fred import measured_fred as measured_fred, read_fred as read_fred
 from hshjax.io.glsl import glsl_source as glsl_source, write_glsl as write_glsl
 from hshjax.io.light_positions import (

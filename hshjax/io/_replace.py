@@ -7,6 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+HALF_WRITTEN = ".hshjax-*.partial"
+"""The pattern of names beside a place."""
+
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
@@ -28,10 +31,11 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 
 @contextmanager
-def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
+def replacing_folder(path: str | os.PathLike, *, last: str | None = None) -> Iterator[Path]:
     """A fresh folder beside `path` for the body to fill; renamed to it at the end, removed if the body raises.
 
-    Where `path` has files, those of the same names are replaced, one by one, and the others stay.
+    Where `path` has files, those of the same names are replaced, one by one, and the others stay. The file `last` is
+    removed before the first of them and comes after all: where it is, the others are of the same writing.
     """
     out = Path(path).resolve()
     beside = _beside(out)
@@ -39,7 +43,9 @@ def replacing_folder(path: str | os.PathLike) -> Iterator[Path]:
     try:
         yield beside
         if out.is_dir() and any(out.iterdir()):
-            for file in sorted(beside.iterdir()):
+            if last is not None:
+                (out / last).unlink(missing_ok=True)
+            for file in sorted(beside.iterdir(), key=lambda file: (file.name == last, file.name)):
                 os.replace(file, out / file.name)
         else:
             os.replace(beside, out)

@@ -1,6 +1,7 @@
 """What is written lands under its name at once, wherever that name leads."""
 
 import os
+from contextlib import nullcontext
 
 import pytest
 
@@ -36,3 +37,32 @@ def test_an_error_names_what_was_to_be_written(tmp_path):
     with pytest.raises(FileNotFoundError) as caught, replacing(path) as beside:
         beside.write_text("new")
     assert caught.value.filename == str(path)
+
+
+def test_the_file_that_says_finished_comes_last(tmp_path, monkeypatch):
+    """Stopped before any of the renames, there is none of it beside files of another writing."""
+    out, replace, renamed = tmp_path / "out", os.replace, []
+    out.mkdir()
+    for name in ("a", "m", "z"):
+        (out / name).write_text("old")
+
+    def stopping(source, target, *, after):
+        if len(renamed) == after:
+            raise KeyboardInterrupt
+        renamed.append(target.name)
+        replace(source, target)
+
+    for after in range(4):
+        renamed.clear()
+        (out / "m").write_text("old")
+        monkeypatch.setattr("hshjax.io._replace.os.replace", lambda a, b, n=after: stopping(a, b, after=n))
+        with (
+            pytest.raises(KeyboardInterrupt) if after < 3 else nullcontext(),
+            replacing_folder(out, last="m") as beside,
+        ):
+            for name in ("a", "m", "z"):
+                (beside / name).write_text("new")
+        assert renamed == ["a", "z", "m"][:after]
+        assert (out / "m").exists() == (after == 3)
+    assert {path.name: path.read_text() for path in out.iterdir()} == dict.fromkeys("amz", "new")
+    assert not list(tmp_path.glob(".*"))
