@@ -92,6 +92,7 @@ from hshjax.fitting import (
     Sparsity as Sparsity,
     TableError as TableError,
     Tabulated as Tabulated,
+    device_mesh as device_mesh,
     fit as fit,
     fit_compact as fit_compact,
     fit_compact_all as fit_compact_all,

@@ -32,6 +32,7 @@ from hshjax.fitting._material import (
     MaterialModel as MaterialModel,
     fit_material as fit_material,
 )
+from hshjax.fitting._mesh import device_mesh as device_mesh
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
 from hshjax.fitting._multi_start import multi_start as multi_start
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm

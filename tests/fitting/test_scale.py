@@ -38,7 +38,7 @@ def temporaries(n):
     samples, model = shapes(n), LinearBRDF(BASIS, jnp.zeros((165, 3), jnp.float32))
     programs = {
         "QR": factorize.lower(BASIS, NORMS["A"], samples),
-        "inner products": _inner_products.lower(BASIS, NORMS["D"], samples),
+        "inner products": _inner_products.lower(BASIS, NORMS["D"], None, samples),
         "residual": jax.jit(lambda model, samples: misfit(model, samples, "A")).lower(model, samples),
     }
     return {name: program.compile().memory_analysis().temp_size_in_bytes for name, program in programs.items()}

@@ -1,0 +1,143 @@
+"""Laws of what is spread over devices: `test_mesh` runs this file in a process that has eight."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import Mesh
+
+from hshjax.bases import HSH, IsotropicBasis
+from hshjax.brdfs import GGX, Lambert
+from hshjax.fitting import device_mesh, project, project_all
+from hshjax.quadrature import isotropic_pair_rule
+from hshjax.samples import Samples
+from tests.helpers import DTYPE, X64, assert_close, directions, slow_unless
+
+BASIS = IsotropicBasis(HSH(2))
+TOLERANCE = None if X64 else 1e-3
+"""Of unknowns with a condition number of some ten, in float32."""
+
+
+def brdf(wi, wo):
+    return (Lambert(jnp.asarray([0.2, 0.6], DTYPE)) + GGX(jnp.ones(2, DTYPE), jnp.asarray(0.5, DTYPE)))(wi, wo)
+
+
+def samples(n=1003, seed=0):
+    """Some masked, and not a multiple of any number of devices."""
+    wi, wo = directions(seed, n, min_z=0.05), directions(seed + 1, n, min_z=0.05)
+    rng = np.random.default_rng(seed)
+    value, weight = np.array(brdf(wi, wo)), rng.uniform(0.5, 2, n).astype(DTYPE)
+    masked = rng.random(n) < 0.1
+    value[masked], weight[masked] = np.nan, 0
+    return Samples.scattered(wi, wo, jnp.asarray(value), jnp.asarray(weight), isotropic=True)
+
+
+def assert_same(got, expected):
+    for name in ("samples", "unknowns", "method", "norm"):
+        assert getattr(got, name) == getattr(expected, name)
+    assert_close(got.model.coefficients, expected.model.coefficients, tolerance=TOLERANCE)
+    for name in ("residual", "relative", "condition", "covariance", "noise"):
+        if getattr(expected, name) is not None:
+            scale = np.abs(getattr(expected, name)).max()
+            assert_close(getattr(got, name) / scale, getattr(expected, name) / scale, tolerance=TOLERANCE)
+
+
+@pytest.mark.parametrize(("devices", "norm"), [(2, "D"), (4, "C"), (8, "A")])
+def test_project_is_that_of_one_device(devices, norm):
+    data, settings = samples(), {"norm": norm, "ridge": 1e-2, "prior": "spectral", "covariance": True}
+    got = project(BASIS, data, mesh=device_mesh(devices), **settings)
+    assert_same(got, project(BASIS, data, **settings))
+    assert_close(got.reciprocity_after.maximum, project(BASIS, data, **settings).reciprocity_after.maximum)
+    elsewhere = jax.device_put(got.model.coefficients, jax.devices()[5])
+    assert_close(got.model.coefficients + elsewhere, 2 * elsewhere)  # the result meets arrays of any device
+
+
+@pytest.mark.parametrize("devices", [slow_unless(devices == 4, devices) for devices in (2, 4, 8)])
+def test_inner_products_are_those_of_one_device(devices):
+    rule = Samples.from_function(brdf, isotropic_pair_rule(4, dtype=DTYPE))
+    assert rule.size % devices != 0 or devices == 2
+    got = project(BASIS, rule, mesh=device_mesh(devices))
+    assert got.method == "inner products"
+    assert_same(got, project(BASIS, rule))
+
+
+def test_axes_of_the_mesh_do_not_matter():
+    data = samples()
+    expected = project(BASIS, data, norm="A")
+    for mesh in (
+        jax.make_mesh((4, 2), ("a", "b")),  # whose axes are Explicit
+        Mesh(np.asarray(jax.devices()[3:6]), ("samples",)),
+        device_mesh(1),
+    ):
+        assert_same(project(BASIS, data, norm="A", mesh=mesh), expected)
+
+
+def test_fewer_samples_than_devices():
+    few = samples(5)
+    settings = {"ridge": 1e-2, "reciprocity": False}
+    assert_same(project(BASIS, few, mesh=device_mesh(8), **settings), project(BASIS, few, **settings))
+
+
+def test_samples_that_are_on_the_mesh_already():
+    data = samples(1000)
+    spread = jax.device_put(data, jax.NamedSharding(device_mesh(4), jax.P("devices")))
+    assert_same(project(BASIS, spread, mesh=device_mesh(4)), project(BASIS, data))
+
+
+def test_derivatives_are_those_of_one_device():
+    data = samples(203)
+    tangent = jax.random.normal(jax.random.key(0), data.value.shape, DTYPE)
+
+    def loss(value, mesh):
+        fit = project(BASIS, eqx.tree_at(lambda s: s.value, data, value), mesh=mesh, norm="A", reciprocity=False)
+        return jnp.sum(fit.model.coefficients**2) + jnp.sum(fit.residual)
+
+    value = jnp.where(data.weight[:, None] > 0, data.value, 0)
+    mesh = device_mesh(4)
+    for transform in (lambda f: f, jax.jit):
+        got = transform(jax.grad(lambda value: loss(value, mesh)))(value)
+        assert_close(got, jax.grad(lambda value: loss(value, None))(value), tolerance=TOLERANCE)
+
+    def slope(mesh):
+        return jax.jvp(jax.grad(lambda value: loss(value, mesh)), (value,), (tangent,))[1]
+
+    assert_close(slope(mesh), slope(None), tolerance=TOLERANCE)
+
+
+def test_under_vmap():
+    data = samples(101)
+    values = jnp.stack([data.value, 2 * data.value])
+
+    def coefficients(value, mesh=None):
+        one = eqx.tree_at(lambda s: s.value, data, value)
+        return project(BASIS, one, mesh=mesh, ridge=1e-2).model.coefficients
+
+    got = jax.vmap(lambda value: coefficients(value, device_mesh(4)))(values)
+    assert_close(got, jax.vmap(coefficients)(values), tolerance=TOLERANCE)
+
+
+@pytest.mark.slow
+def test_constraints():
+    data = samples()
+    got, expected = (
+        project(BASIS, data, constraints=("non_negative",), mesh=mesh, ridge=1e-3) for mesh in (device_mesh(2), None)
+    )
+    assert got.certificate.holds
+    assert_close(got.model.coefficients, expected.model.coefficients, tolerance=1e-6 if X64 else 1e-3)
+
+
+def test_many_materials():
+    one, other = samples(), eqx.tree_at(lambda s: s.value, samples(), 3 * samples().value)
+    for got, expected in zip(
+        project_all(BASIS, [one, other], mesh=device_mesh(8)), project_all(BASIS, [one, other]), strict=True
+    ):
+        assert_same(got, expected)
+
+
+def test_a_mesh_of_more_devices_than_there_are():
+    assert device_mesh().size == 8
+    with pytest.raises(ValueError, match=r"a mesh of 9 devices was asked for, and jax has 8; .*jax_num_cpu_devices"):
+        device_mesh(9)
+    with pytest.raises(ValueError, match="a mesh of 0 devices"):
+        device_mesh(0)
