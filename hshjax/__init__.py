@@ -85,6 +85,7 @@ from hshjax.fitting import (
     Of as Of,
     Outcome as Outcome,
     Prior as Prior,
+    ProcessError as ProcessError,
     Reciprocity as Reciprocity,
     SampleBlocks as SampleBlocks,
     SampleMisfit as SampleMisfit,

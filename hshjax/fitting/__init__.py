@@ -38,6 +38,7 @@ from hshjax.fitting._multi_start import multi_start as multi_start
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._outcome import Outcome as Outcome
 from hshjax.fitting._positive_start import positive_start as positive_start
+from hshjax.fitting._processes import ProcessError as ProcessError
 from hshjax.fitting._project import project as project
 from hshjax.fitting._project_blocks import project_blocks as project_blocks
 from hshjax.fitting._project_by_moments import project_by_moments as project_by_moments

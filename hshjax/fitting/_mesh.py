@@ -19,6 +19,9 @@ Tree = TypeVar("Tree")
 AXIS = "devices"
 """Name of the one axis that every mesh is flattened to."""
 
+SHARES, ALIKE = PartitionSpec(AXIS), PartitionSpec()
+"""Of arrays in equal parts along their first axis, and of those that every device holds whole."""
+
 
 def device_mesh(count: int | None = None) -> Mesh:
     """A mesh of one axis over the first `count` devices of jax, by default all, those of other processes included.
@@ -69,10 +72,11 @@ def spread(samples: Samples, mesh: Mesh) -> Samples:
         if not all(part.is_fully_addressable for part in parts):
             raise ValueError("every process needs all samples in arrays of its own; project_blocks shares out blocks")
         filled = [put(_filled(np, np.asarray(part), lacking), mesh) for part in parts]
-    return Samples(*filled, None, samples.isotropic)
+    wi, wo, value, weight = filled
+    return Samples(wi, wo, value, weight, None, samples.isotropic)
 
 
-def put(array: np.ndarray, mesh: Mesh, spec: PartitionSpec = PartitionSpec(AXIS)) -> Array:
+def put(array: np.ndarray, mesh: Mesh, spec: PartitionSpec = SHARES) -> Array:
     """An array of the host on the devices of a flat mesh, by default in equal parts along its first axis."""
     return jax.make_array_from_callback(array.shape, NamedSharding(mesh, spec), lambda part: array[part])
 
@@ -101,10 +105,9 @@ def fold_each(
 
     if mesh is None:
         return share(samples, held)
-    each, all_alike = PartitionSpec(AXIS), PartitionSpec()
     # Loops within `visit` begin with constants: that they differ between devices afterwards is none of its concern.
-    shares = jax.shard_map(share, mesh=mesh, in_specs=(each, all_alike), out_specs=each, check_vma=False)
-    return jax.lax.with_sharding_constraint(shares(samples, held), NamedSharding(mesh, all_alike))
+    shares = jax.shard_map(share, mesh=mesh, in_specs=(SHARES, ALIKE), out_specs=SHARES, check_vma=False)
+    return jax.lax.with_sharding_constraint(shares(samples, held), NamedSharding(mesh, ALIKE))
 
 
 def gathered(tree: Tree, mesh: Mesh | None) -> Tree:

@@ -9,7 +9,7 @@ from jax.sharding import Mesh
 
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import GGX, Lambert
-from hshjax.fitting import device_mesh, project, project_all
+from hshjax.fitting import SampleBlocks, device_mesh, project, project_all, project_blocks
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, X64, assert_close, directions, slow_unless
@@ -141,3 +141,13 @@ def test_a_mesh_of_more_devices_than_there_are():
         device_mesh(9)
     with pytest.raises(ValueError, match="a mesh of 0 devices"):
         device_mesh(0)
+
+
+@pytest.mark.parametrize("devices", [slow_unless(devices == 4, devices) for devices in (2, 4, 8)])
+def test_blocks_are_those_of_one_device(devices, monkeypatch):
+    monkeypatch.setattr("hshjax.fitting._block_sums.STEP", 128)
+    data = samples()
+    parts = [data.wi, data.wo, data.value, data.weight]
+    blocks = SampleBlocks(*map(np.asarray, parts), rows=301, isotropic=True)
+    got = project_blocks(BASIS, blocks, mesh=device_mesh(devices), norm="C", covariance=True)
+    assert_same(got, project_blocks(BASIS, blocks, norm="C", covariance=True))
