@@ -42,6 +42,7 @@ from hshjax.fitting._processes import ProcessError as ProcessError
 from hshjax.fitting._project import project as project
 from hshjax.fitting._project_blocks import project_blocks as project_blocks
 from hshjax.fitting._project_by_moments import project_by_moments as project_by_moments
+from hshjax.fitting._project_pixels import PixelFit as PixelFit, project_pixels as project_pixels
 from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit, MultiStart as MultiStart
 from hshjax.fitting._robust import (
     AbstractRobustLoss as AbstractRobustLoss,
@@ -67,4 +68,5 @@ from hshjax.fitting._terms import (
     Smoothness as Smoothness,
     Sparsity as Sparsity,
 )
+from hshjax.fitting._tiles import TileError as TileError
 from hshjax.fitting._to_series import to_series as to_series

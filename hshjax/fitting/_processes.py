@@ -46,7 +46,7 @@ class Processes:
         self.ids = [own] if mesh is None else sorted({device.process_index for device in mesh.devices.flat})
         self.index, self.count = self.ids.index(own), len(self.ids)
         self._timeout, self._advice = timeout, advice
-        self._ended, self._lost, self._failure = Event(), "", None
+        self._ended, self._lost, self._failure, self._step = Event(), "", None, 0
         if not timeout > 0:
             raise ValueError(f"timeout must be > 0 seconds, got {timeout}")
         if self.count > 1:
@@ -85,11 +85,13 @@ class Processes:
         """`merge` of what every process has, in their order, which the first does; the same bytes everywhere."""
         if self.count == 1:
             return merge([own])
-        self._send(f"found/{self.index}", own)
+        self._step += 1
+        place = f"found/{self._step}"
+        self._send(f"{place}/{self.index}", own)
         if self.index == 0:
-            found = [self._receive(f"found/{k}") for k in range(self.count)]
-            self._send("merged", merge(found))
-        return self._receive("merged")
+            found = [self._receive(f"{place}/{k}") for k in range(self.count)]
+            self._send(f"{place}/merged", merge(found))
+        return self._receive(f"{place}/merged")
 
     def finish(self) -> None:
         """Waits until every process is here."""
