@@ -103,6 +103,7 @@ from hshjax.fitting import (
     infer_compact as infer_compact,
     initial_guesses as initial_guesses,
     largest_sparsity_weight as largest_sparsity_weight,
+    map_over_mesh as map_over_mesh,
     misfit as misfit,
     multi_start as multi_start,
     order_sweep as order_sweep,

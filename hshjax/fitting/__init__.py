@@ -19,6 +19,7 @@ from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._infer_compact import infer_compact as infer_compact
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+from hshjax.fitting._map_over_mesh import map_over_mesh as map_over_mesh
 from hshjax.fitting._mappings import (
     AbstractMapping as AbstractMapping,
     CosineWeighted as CosineWeighted,

@@ -9,7 +9,17 @@ from jax.sharding import Mesh
 
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import GGX, Lambert
-from hshjax.fitting import SampleBlocks, device_mesh, project, project_all, project_blocks
+from hshjax.fitting import (
+    SampleBlocks,
+    SampleMisfit,
+    device_mesh,
+    fit,
+    map_over_mesh,
+    project,
+    project_all,
+    project_blocks,
+    project_pixels,
+)
 from hshjax.quadrature import isotropic_pair_rule
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, X64, assert_close, directions, slow_unless
@@ -151,3 +161,32 @@ def test_blocks_are_those_of_one_device(devices, monkeypatch):
     blocks = SampleBlocks(*map(np.asarray, parts), rows=301, isotropic=True)
     got = project_blocks(BASIS, blocks, mesh=device_mesh(devices), norm="C", covariance=True)
     assert_same(got, project_blocks(BASIS, blocks, norm="C", covariance=True))
+
+
+@pytest.mark.parametrize("devices", [2, 4, 8])
+def test_pixels_are_those_of_one_device(devices, tmp_path):
+    lights = np.asarray(directions(0, 20, min_z=0.2))
+    values = np.random.default_rng(0).uniform(0, 1, (103, 20, 3)).astype(DTYPE)
+    got = project_pixels(HSH(2), lights, values, rows=30, mesh=device_mesh(devices), out=tmp_path / "out.npy")
+    expected = project_pixels(HSH(2), lights, values)
+    assert_close(got.coefficients, expected.coefficients)
+    assert_close(got.residual, expected.residual)
+
+
+def test_materials_are_fitted_as_on_one_device():
+    """Three materials on two devices."""
+    wi, wo = directions(0, 50, min_z=0.1), directions(1, 50, min_z=0.1)
+    albedo = jnp.asarray([0.2, 0.5, 0.8], DTYPE)
+    batch = jax.vmap(lambda a: Samples.scattered(wi, wo, Lambert(a[None])(wi, wo)))(albedo)
+
+    def one(data):
+        return fit(Lambert(jnp.asarray([0.4], DTYPE)), {"data": SampleMisfit(data)}, throw=False)
+
+    got, expected = map_over_mesh(one, batch, device_mesh(2)), jax.vmap(one)(batch)
+    assert_close(got.model.albedo[:, 0], albedo, tolerance=1e-5)
+    assert jax.tree.structure(got) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(expected), strict=True):
+        assert_close(a, b)
+    for bad in (jnp.zeros(()), (jnp.zeros(2), jnp.zeros(3)), jnp.zeros(0)):
+        with pytest.raises(ValueError, match="a leading axis of equal length, at least 1"):
+            map_over_mesh(lambda x: x, bad, device_mesh(2))

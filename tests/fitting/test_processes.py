@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from hshjax.bases import HSH, IsotropicBasis
-from hshjax.fitting import SampleBlocks, project_blocks
+from hshjax.fitting import SampleBlocks, project_blocks, project_pixels
 from tests.fitting.test_project_blocks import arrays
-from tests.helpers import X64, slow_unless
+from tests.helpers import X64, directions, slow_unless
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = 30
@@ -144,4 +144,27 @@ def test_another_number_of_processes_and_another_call_are_refused(folder):
 
 @pytest.mark.slow
 def test_samples_that_every_process_has(folder):
-    assert_all_fitted(folder, run(folder, 2, devices=2, p0=("--whole",), p1=("--whole",)))
+    assert_all_fitted(folder, run(folder, 2, devices=2, p0=("--what", "whole"), p1=("--what", "whole")))
+
+
+@pytest.mark.slow
+def test_pixels_of_a_killed_process(folder):
+    lights = np.asarray(directions(0, 20, min_z=0.2))
+    values = np.random.default_rng(0).uniform(0, 1, (103, 20, 3))
+    np.save(folder / "lights.npy", lights)
+    np.save(folder / "photographs.npy", values)
+    pixels, out = ("--what", "pixels", "--timeout", TIMEOUT), folder / "coefficients.npy"
+    ended = run(folder, 2, p0=pixels, p1=(*pixels, "--kill-after", 2))
+    assert [code for code, _, _ in ended] == [3, -signal.SIGKILL]
+    assert "ProcessError: process 1 has not reported for 2 s; the tiles that are done are kept in" in ended[0][2]
+    assert not out.exists()
+    again = run(folder, 2, p0=pixels, p1=pixels)
+    assert [code for code, _, _ in again] == [0, 0], again
+    assert blocks_said(again[0][1]) == []
+    assert blocks_said(again[1][1]) == [3, 5, 7, 9]
+    expected = project_pixels(HSH(2), lights, values)
+    np.testing.assert_allclose(np.load(out), expected.coefficients, rtol=1e-10, atol=1e-10)
+    for p in range(2):
+        with np.load(folder / f"fit-{p}.npz") as found:
+            np.testing.assert_allclose(found["residual"], expected.residual, rtol=1e-10)
+    assert not list(folder.glob(".coefficients*"))
