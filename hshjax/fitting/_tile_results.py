@@ -1,5 +1,6 @@
 """Where the results of tiles go: memory, an array of the caller's, or a file that has its name when it is whole."""
 
+import math
 import os
 import shutil
 from os import PathLike
@@ -43,7 +44,7 @@ class TileResults:
                 "whole: remove the folder to begin anew"
             )
         beside = self.unfinished / "new.npy"  # a header must be whole, too
-        np.lib.format.open_memmap(beside, "w+", dtype, (shape[0], *shape[1:])).flush()
+        np.lib.format.open_memmap(beside, "w+", dtype, (shape[0], *shape[1:])).flush()  # a hole, as long as the result
         os.replace(beside, self.unfinished / PART)
 
     def open(self, shape: tuple[int | None, int, int]) -> None:
@@ -52,7 +53,7 @@ class TileResults:
             return
         pixels, functions, channels = shape
         if self.unfinished is not None:
-            self.array = np.load(self.unfinished / PART, mmap_mode="r+", allow_pickle=False)
+            self.array = _File(self.unfinished / PART)
         got = tuple(int(size) for size in self.array.shape)
         if got != (got[0] if pixels is None else pixels, functions, channels):
             raise ValueError(f"out must be (pixels, functions, channels), {shape} here, got {got}")
@@ -83,9 +84,31 @@ class TileResults:
             self.array = np.concatenate(self._parts)
         self.flush()
         if self.path is not None and self.unfinished is not None:
+            self.array = None  # no handle of the unfinished file is left
             os.replace(self.unfinished / PART, self.path)
 
     def clear(self) -> None:
         """Removes the folder of what was unfinished."""
         if self.unfinished is not None:
             shutil.rmtree(self.unfinished)
+
+
+class _File:
+    """A .npy file that slices are written to: unlike those of a map, its pages never count as memory of the process."""
+
+    def __init__(self, path: Path):
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+        self.shape, self._dtype, self._offset = mapped.shape, mapped.dtype, mapped.offset
+        self._file = path.open("r+b")
+
+    def __setitem__(self, rows: slice, values: np.ndarray) -> None:
+        size = math.prod(self.shape[1:]) * self._dtype.itemsize
+        self._file.seek(self._offset + rows.start * size)
+        self._file.write(np.ascontiguousarray(values, self._dtype).data)
+
+    def flush(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def __del__(self):
+        self._file.close()
