@@ -18,7 +18,8 @@ from tests.helpers import X64, directions, slow_unless
 
 ROOT = Path(__file__).parents[2]
 BLOCKS = 30
-TIMEOUT = 2.0
+TIMEOUT = 4.0
+"""Seconds: of a machine that has much else to do, too."""
 NAMES = ("wi", "wo", "value", "weight")
 
 pytestmark = pytest.mark.skipif(not X64, reason="the processes compute in float64")
@@ -87,7 +88,7 @@ def test_a_killed_process_is_named_and_a_restart_goes_on(folder, of):
     for p in set(range(of)) - {1}:
         code, _, errors = ended[p]
         assert code == 3, errors
-        lost = "ProcessError: process 1 has not reported for 2 s; the blocks that are in are kept in "
+        lost = "ProcessError: process 1 has not reported for 4 s; the blocks that are in are kept in "
         assert f"{lost}{folder}/checkpoint: the same command goes on after them" in errors
     assert not list(folder.glob("fit-*"))
 
@@ -156,7 +157,7 @@ def test_pixels_of_a_killed_process(folder):
     pixels, out = ("--what", "pixels", "--timeout", TIMEOUT), folder / "coefficients.npy"
     ended = run(folder, 2, p0=pixels, p1=(*pixels, "--kill-after", 2))
     assert [code for code, _, _ in ended] == [3, -signal.SIGKILL]
-    assert "ProcessError: process 1 has not reported for 2 s; the tiles that are done are kept in" in ended[0][2]
+    assert "ProcessError: process 1 has not reported for 4 s; the tiles that are done are kept in" in ended[0][2]
     assert not out.exists()
     again = run(folder, 2, p0=pixels, p1=pixels)
     assert [code for code, _, _ in again] == [0, 0], again
