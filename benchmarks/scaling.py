@@ -171,13 +171,16 @@ def drawn(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
         x = [one["value"] for one in points]
         for name, mark in (("core_seconds", "o-"), ("seconds", "x--")):
             column[0].loglog(x, [one[name] for one in points], mark, label=name.replace("_", " "))
-        column[1].loglog(x, [one["peak_gigabytes"] for one in points], "s-", color="0.4")
+        column[1].semilogx(x, [one["peak_gigabytes"] for one in points], "s-", color="0.4")
+        column[1].set_ylim(bottom=0)
+        column[1].set_xticks(x, [f"{value:.2g}" for value in x], fontsize=8)
+        column[1].minorticks_off()
         column[1].set_xlabel(axis)
         column[0].set_title(f"{axis}, exponent {exponent(points, 'core_seconds'):.2f}", fontsize=9)
     panels[0, 0].set_ylabel("seconds")
     panels[1, 0].set_ylabel("peak memory [GB]")
     panels[0, 0].legend(fontsize=7)
-    figure.savefig(path, dpi=120)
+    figure.savefig(path, dpi=100)
 
 
 def main() -> None:
