@@ -26,6 +26,7 @@ RUN = [
             "photometric_stereo",
             "refine_jointly",
             "render_elsewhere",
+            "scaling",
             "shape_from_shading",
             "use_as_a_layer",
         )

@@ -20,6 +20,7 @@ from hshjax.fitting._guess import initial_guesses as initial_guesses
 from hshjax.fitting._infer_compact import infer_compact as infer_compact
 from hshjax.fitting._jaxopt import Jaxopt as Jaxopt
 from hshjax.fitting._levenberg_marquardt import LevenbergMarquardt as LevenbergMarquardt
+from hshjax.fitting._map_over_mesh import map_over_mesh as map_over_mesh
 from hshjax.fitting._mappings import (
     AbstractMapping as AbstractMapping,
     CosineWeighted as CosineWeighted,
@@ -33,14 +34,17 @@ from hshjax.fitting._material import (
     MaterialModel as MaterialModel,
     fit_material as fit_material,
 )
+from hshjax.fitting._mesh import device_mesh as device_mesh
 from hshjax.fitting._misfit import misfit as misfit, relative_error as relative_error
 from hshjax.fitting._multi_start import multi_start as multi_start
 from hshjax.fitting._norms import NORMS as NORMS, Norm as Norm
 from hshjax.fitting._outcome import Outcome as Outcome
 from hshjax.fitting._positive_start import positive_start as positive_start
+from hshjax.fitting._processes import ProcessError as ProcessError
 from hshjax.fitting._project import project as project
 from hshjax.fitting._project_blocks import project_blocks as project_blocks
 from hshjax.fitting._project_by_moments import project_by_moments as project_by_moments
+from hshjax.fitting._project_pixels import PixelFit as PixelFit, project_pixels as project_pixels
 from hshjax.fitting._result import Fit as Fit, IterativeFit as IterativeFit, MultiStart as MultiStart
 from hshjax.fitting._robust import (
     AbstractRobustLoss as AbstractRobustLoss,
@@ -66,4 +70,5 @@ from hshjax.fitting._terms import (
     Smoothness as Smoothness,
     Sparsity as Sparsity,
 )
+from hshjax.fitting._tiles import TileError as TileError
 from hshjax.fitting._to_series import to_series as to_series

@@ -3,12 +3,14 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.sharding import Mesh
 
 from hshjax._typing import Array, Float, PairFunction
 from hshjax.bases._base import matmul
 from hshjax.brdfs._base import AbstractBRDF
 from hshjax.brdfs._linear import LinearBRDF, foreshortening
-from hshjax.fitting._blocks import ROWS, fold, series
+from hshjax.fitting._blocks import ROWS, series
+from hshjax.fitting._mesh import fold_each
 from hshjax.fitting._norms import named_norm
 from hshjax.samples import Samples
 
@@ -31,20 +33,24 @@ def ratio(error: Float[Array, " channels"], size: Float[Array, " channels"]) -> 
 
 @eqx.filter_jit
 def misfit(
-    brdf: PairFunction, samples: Samples, norm: str
+    brdf: PairFunction, samples: Samples, norm: str, mesh: Mesh | None = None
 ) -> tuple[Float[Array, " channels"], Float[Array, " channels"]]:
-    """Numerator and denominator of `relative_error`."""
+    """Numerator and denominator of `relative_error`. With a flat mesh, of samples that are `spread` over it."""
     judge = named_norm(norm)
     if isinstance(brdf, LinearBRDF):
         brdf = _InBlocks(brdf)
 
-    def visit(sums, wi, wo, value, weight):
+    arrays, rest = eqx.partition(brdf, eqx.is_array)
+
+    def visit(arrays, sums, wi, wo, value, weight):
+        brdf = eqx.combine(arrays, rest)
         weight = weight * judge.judge_weight(wi, wo)
         value = jnp.where((weight > 0)[:, None], value, 0)
         error = jnp.where((weight > 0)[:, None], brdf(wi, wo) - value, 0)
         return sums + jnp.stack([matmul(weight, error**2), matmul(weight, value**2)])
 
-    sums = fold(samples, ROWS, jnp.zeros((2, samples.channels), samples.value.dtype), visit)
+    empty = jnp.zeros((2, samples.channels), samples.value.dtype)
+    sums = jnp.sum(fold_each(mesh, samples, ROWS, empty, visit, arrays), axis=0)
     compared = jnp.any(samples.weight * judge.judge_weight(samples.wi, samples.wo) > 0)
     error, size = jnp.where(compared, jnp.sqrt(sums), jnp.nan)
     return error, size

@@ -1,5 +1,6 @@
 """Quadratic priors on coefficients: the Γ of the closed form."""
 
+from collections.abc import Callable
 from typing import Literal
 
 import jax.numpy as jnp
@@ -12,27 +13,35 @@ Prior = Literal["spectral"] | Float[Array, " modes"] | np.ndarray
 
 
 def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior | None) -> Float[Array, " modes"] | None:
-    """The diagonal of Γ = ridge x prior, or None for no penalty at all.
+    """The diagonal of Γ = ridge x prior, or None for no penalty at all; see `penalty_of`."""
+    return penalty_of(basis.count, basis.degrees, ridge, prior)
 
-    None is 1 for every mode; "spectral" is (n(n+1) + p(p+1))², the squared Laplacian of a function of order n in one
-    direction and p in the other: 0 for the constant, growing with the fourth power of the order.
+
+def penalty_of(
+    count: int, degrees: Callable[[], np.ndarray], ridge: float, prior: Prior | None
+) -> Float[Array, " modes"] | None:
+    """The diagonal of Γ = ridge x prior for `count` modes, or None for no penalty at all.
+
+    `degrees()`: the orders of every mode, one or two directions each. None is 1 for every mode; "spectral" is
+    (n(n+1) + p(p+1))², the squared Laplacian of a function of order n in one direction and p in the other, if there is
+    one: 0 for the constant, growing with the fourth power of the order.
 
     **Raises:** ValueError for a negative ridge, a prior of the wrong shape or sign, or a prior that a ridge of 0 mutes.
     """
     if not ridge >= 0:
         raise ValueError(f"ridge must be >= 0, got {ridge}")
     if prior is None:
-        diagonal = np.ones(basis.count)
+        diagonal = np.ones(count)
     elif isinstance(prior, str):
         if prior != "spectral":
             raise ValueError(f'prior must be None, "spectral" or an array (modes,), got {prior!r}')
-        orders = np.asarray(basis.degrees(), np.float64)
+        orders = np.asarray(degrees(), np.float64)
         diagonal = np.sum(orders * (orders + 1), axis=1) ** 2
     else:
         diagonal = np.asarray(prior, np.float64)
-        if diagonal.shape != (basis.count,) or not np.all(diagonal >= 0):
+        if diagonal.shape != (count,) or not np.all(diagonal >= 0):
             raise ValueError(
-                f"prior must hold one number >= 0 for each of the {basis.count} modes, got shape {diagonal.shape}"
+                f"prior must hold one number >= 0 for each of the {count} modes, got shape {diagonal.shape}"
             )
     if ridge == 0:
         if prior is not None:

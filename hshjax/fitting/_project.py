@@ -16,15 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.scipy.linalg import solve_triangular
+from jax.sharding import Mesh
 
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis, AbstractProductBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
-from hshjax.fitting._blocks import ROWS, fold
+from hshjax.fitting._blocks import ROWS
 from hshjax.fitting._checks import check_determined, check_isotropy, check_samples
 from hshjax.fitting._constraints import check_constraints
 from hshjax.fitting._lapack import suited_threads
+from hshjax.fitting._mesh import flat_mesh, fold_each, gathered, spread
 from hshjax.fitting._misfit import misfit, ratio
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._outcome import Outcome
@@ -54,6 +56,7 @@ def project(
     reciprocity: bool | None = None,
     constraints: tuple[str, ...] = (),
     rounds: int = 16,
+    mesh: Mesh | None = None,
 ) -> Fit[LinearBRDF]:
     """The BRDF in the span of `basis` nearest to `samples`, in closed form.
 
@@ -78,13 +81,17 @@ def project(
       comes with `result` `Outcome.uncertified`. Not under `jax.jit`, `jax.vmap` or `jax.grad`. Both
       constraints together force a series for sqrt(z_i z_o) ρ or z_i z_o ρ to vanish at the horizon, where its albedo
       would be infinite otherwise. The price is what `relative` gains over a fit without constraints.
+    - `mesh`: devices that share the samples (`device_mesh`), of any shape and axes. Each factorises its part, and the
+      factors are merged by one more QR: the result is that of one device, to rounding. Where some of the devices are of
+      other processes, every process makes the same call with the same samples.
 
     **Returns:** a `Fit`. Beside the samples, memory holds a few blocks and two matrices of unknowns x unknowns.
 
     **Raises:** ValueError, naming the count, for samples that are not finite, not of unit length or below the horizon;
     for weights that are negative or all zero; for isotropic samples and a basis that is not; for fewer samples than
     unknowns, or samples that do not determine the unknowns, without a ridge; for constraints that are unknown, inside
-    a transformation of jax, or beyond anything in the span of the basis. Inside `jax.jit` values cannot be seen:
+    a transformation of jax, or beyond anything in the span of the basis; for a mesh of several processes inside a
+    transformation. Inside `jax.jit` values cannot be seen:
     there an undetermined fit returns coefficients that are not finite, samples with a `degree` are taken for the whole
     rule, and reciprocity is not measured.
     """
@@ -102,8 +109,10 @@ def project(
         _, used, _, total = check_samples(samples, chosen, unknowns, ridged=gamma is not None)
 
     inner = not covariance and chosen.orthonormal and _exact(basis, samples, total)
+    mesh = None if mesh is None else flat_mesh(mesh)
+    shared = samples if mesh is None else spread(samples, mesh)
     if inner:
-        coefficients = _inner_products(basis, chosen, samples)
+        coefficients = gathered(_inner_products(basis, chosen, mesh, shared), mesh)
         condition, posterior, noise = jnp.ones((), coefficients.dtype), None, None
         diagonal = jnp.ones(unknowns, coefficients.dtype)
         if gamma is not None:  # BᵀWB is the identity: the penalty shrinks every coefficient by itself
@@ -113,7 +122,7 @@ def project(
         root = jnp.diag(jnp.sqrt(diagonal)) if constraints else None
     else:
         with suited_threads(unknowns + samples.channels):
-            coefficients, condition, factor, root = _least_squares(basis, chosen, samples, gamma)
+            coefficients, condition, factor, root = _least_squares(basis, chosen, mesh, shared, gamma)
             if visible:
                 root.block_until_ready()  # before the limit ends: calls return before their work is done
         if visible:
@@ -131,7 +140,7 @@ def project(
         result = Outcome.converged if certificate.holds else Outcome.uncertified
 
     model = LinearBRDF(basis, coefficients, chosen.target)
-    residual, size = misfit(model, samples, norm)
+    residual, size = gathered(misfit(model, shared, norm, mesh), mesh)
     if reciprocity is None:
         reciprocity = samples.size <= SEARCHED
     before, after = _reciprocity(model, samples) if reciprocity and visible else (None, None)
@@ -179,28 +188,30 @@ def _block_size(unknowns: int) -> int:
     return max(64, min(ROWS, 2**20 // unknowns))
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _inner_products(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "modes channels"]:
-    def visit(sums, wi, wo, value, weight):
+@partial(jax.jit, static_argnums=(0, 1, 2))
+def _inner_products(
+    basis: AbstractPairBasis, norm: Norm, mesh: Mesh | None, samples: Samples
+) -> Float[Array, "modes channels"]:
+    def visit(_, sums, wi, wo, value, weight):
         return sums + matmul(basis(wi, wo).T, weight[:, None] * _series(norm, wi, wo, value))
 
     unknowns = basis.count
     empty = jnp.zeros((unknowns, samples.channels), samples.value.dtype)
-    return fold(samples, _block_size(unknowns), empty, visit)
+    return jnp.sum(fold_each(mesh, samples, _block_size(unknowns), empty, visit), axis=0)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0, 1))
+@partial(jax.custom_jvp, nondiff_argnums=(0, 1, 2))
 def _least_squares(
-    basis: AbstractPairBasis, norm: Norm, samples: Samples, gamma: Array | None
+    basis: AbstractPairBasis, norm: Norm, mesh: Mesh | None, samples: Samples, gamma: Array | None
 ) -> tuple[Array, Array, Array, Array]:
     """Coefficients, condition estimate, R of the data, and the triangular root of BᵀWB + Γ."""
-    factor = factorize(basis, norm, samples)
+    factor = gathered(factorize(basis, norm, samples, mesh), mesh)
     coefficients, condition, root = solve_factor(factor, gamma, basis.count)
     return coefficients, condition, factor, root
 
 
 @_least_squares.defjvp
-def _(basis, norm, primals, tangents):
+def _(basis, norm, mesh, primals, tangents):
     """By the implicit function theorem, at the optimum: (BᵀWB + Γ) dc = d[BᵀW(f - Bc) - Γc] with c held.
 
     Not through the factorisation: R's last columns are singular where a channel lies in the span of the basis, and the
@@ -208,13 +219,16 @@ def _(basis, norm, primals, tangents):
     its matrix as a function of the samples, for the sake of second derivatives.
     """
     here, penalty_here = primals
-    coefficients, condition, factor, root = _least_squares(basis, norm, here, penalty_here)
+    coefficients, condition, factor, root = _least_squares(basis, norm, mesh, here, penalty_here)
 
     def residual(samples, gamma):
-        return _normal_residual(basis, norm, samples, gamma, coefficients)
+        return _normal_residual(basis, norm, mesh, samples, gamma, coefficients)
 
     def product(v):  # (BᵀWB + Γ) v: the residual is affine in c
-        return -jax.jvp(lambda c: _normal_residual(basis, norm, here, penalty_here, c), (coefficients,), (v,))[1]
+        def at(c):
+            return _normal_residual(basis, norm, mesh, here, penalty_here, c)
+
+        return -jax.jvp(at, (coefficients,), (v,))[1]
 
     def solve(_, right):
         return solve_triangular(root, solve_triangular(root, right, trans=1))
@@ -225,32 +239,46 @@ def _(basis, norm, primals, tangents):
     return (coefficients, *constants), (tangent, *(jnp.zeros_like(constant) for constant in constants))
 
 
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _normal_residual(
-    basis: AbstractPairBasis, norm: Norm, samples: Samples, gamma: Array | None, coefficients: Array
+    basis: AbstractPairBasis,
+    norm: Norm,
+    mesh: Mesh | None,
+    samples: Samples,
+    gamma: Array | None,
+    coefficients: Array,
 ) -> Float[Array, "modes channels"]:
     """BᵀW(f - Bc) - Γc: zero at the optimum."""
 
     @jax.checkpoint  # a transpose keeps the samples and forms the rows again
-    def visit(sums, wi, wo, value, weight):
+    def visit(coefficients, sums, wi, wo, value, weight):
         rows = basis(wi, wo)
         misfit = _series(norm, wi, wo, value) - matmul(rows, coefficients)
         return sums + matmul(rows.T, (weight * norm.fit_weight(wi, wo))[:, None] * misfit)
 
-    sums = fold(samples, _block_size(basis.count), jnp.zeros_like(coefficients), visit)
+    empty = jnp.zeros(coefficients.shape, coefficients.dtype)
+    sums = jnp.sum(fold_each(mesh, samples, _block_size(basis.count), empty, visit, coefficients), axis=0)
     return sums if gamma is None else sums - gamma.astype(sums.dtype)[:, None] * coefficients
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def factorize(basis: AbstractPairBasis, norm: Norm, samples: Samples) -> Float[Array, "columns columns"]:
-    """R of [sqrt(w) B, sqrt(w) f]: everything that least squares needs to know of the samples."""
+@partial(jax.jit, static_argnums=(0, 1, 3))
+def factorize(
+    basis: AbstractPairBasis, norm: Norm, samples: Samples, mesh: Mesh | None = None
+) -> Float[Array, "columns columns"]:
+    """R of [sqrt(w) B, sqrt(w) f]: everything that least squares needs to know of the samples.
+
+    With a flat mesh, over which they are `spread`: R of the shares' own R, one above the other.
+    """
     columns = basis.count + samples.channels
 
-    def visit(factor, wi, wo, value, weight):
+    def visit(_, factor, wi, wo, value, weight):
         root = jnp.sqrt(weight * norm.fit_weight(wi, wo))[:, None]
         block = root * jnp.concatenate([basis(wi, wo), _series(norm, wi, wo, value)], axis=1)
         return jnp.linalg.qr(jnp.concatenate([factor, block]), mode="r")
 
-    return fold(samples, max(ROWS, 4 * columns), jnp.zeros((columns, columns), samples.value.dtype), visit)
+    empty = jnp.zeros((columns, columns), samples.value.dtype)
+    factors = fold_each(mesh, samples, max(ROWS, 4 * columns), empty, visit)
+    return factors[0] if mesh is None else jnp.linalg.qr(factors.reshape(-1, columns), mode="r")
 
 
 @partial(jax.jit, static_argnums=2)

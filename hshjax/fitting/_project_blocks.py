@@ -4,28 +4,30 @@ The factor R of the weighted design matrix is all that least squares needs to kn
 is that of their two R, one above the other. A block is read, folded into the factor, and forgotten.
 """
 
-from collections.abc import Iterable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterable, Sized
+from os import PathLike
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
 
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.bases._base import matmul
-from hshjax.brdfs._linear import LinearBRDF, cosine_power
-from hshjax.fitting._checks import Counts, check_determined, check_enough, check_isotropy, check_values
+from hshjax.brdfs._linear import LinearBRDF
+from hshjax.fitting._block_sums import BlockSums
+from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
+from hshjax.fitting._checks import check_determined, check_enough
 from hshjax.fitting._lapack import suited_threads
+from hshjax.fitting._mesh import own_mesh
 from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
-from hshjax.fitting._project import factorize, posterior_of, solve_factor
+from hshjax.fitting._processes import Processes
+from hshjax.fitting._project import posterior_of, solve_factor
 from hshjax.fitting._result import Fit
-from hshjax.fitting._sample_blocks import BlockError, filled, read_blocks, regrouped
 from hshjax.samples import Samples
-
-STEP = 2**16
-"""Samples that one call of the compiled program folds."""
 
 
 def project_blocks(
@@ -36,6 +38,11 @@ def project_blocks(
     ridge: float = 0.0,
     prior: Prior | None = None,
     covariance: bool = False,
+    mesh: Mesh | None = None,
+    checkpoint: str | PathLike | None = None,
+    every: float = 30.0,
+    timeout: float = 60.0,
+    on_block: Callable[[int, int | None], None] | None = None,
 ) -> Fit[LinearBRDF]:
     """`project`, in one pass over blocks of samples, of which one at a time is held.
 
@@ -43,90 +50,104 @@ def project_blocks(
       generator, `SampleBlocks` over files. Where it has a length, so many blocks must come.
     - `basis`, `norm`, `ridge`, `prior`, `covariance`: see `project`. Least squares by QR throughout: a rule that comes
       in blocks is not recognised as exact. Reciprocity of the data is not measured.
+    - `mesh`: devices that share the samples of every step (`device_mesh`). Where they are of n processes, all of these
+      make the same call: the p-th takes blocks p, p + n, p + 2n ..., what they found is put together at the end, and
+      all return the same fit. Blocks of a sequence (`SampleBlocks`, a list) are read by the process that takes them
+      only; anything else is gone through by every process.
+    - `checkpoint`: a folder for what has been done, one file a process, written beside and renamed every so many
+      seconds (`every`; 0 for after each block) and at the end of the pass. The same call, with as many processes,
+      goes on after the blocks that are in it, on any number of devices, and also after an error; `ridge`, `prior` and
+      `covariance` may be others. The files are removed when the fit is returned.
+    - `timeout`: seconds without a sign of life after which another process counts as lost, from this call on. jax ends
+      all processes by itself when `heartbeat_timeout_seconds` of `jax.distributed.initialize` have passed, or as soon
+      as process 0 is lost: keep this less.
+    - `on_block(number, of)`: called when a block of this process is in, `of` their length or None.
 
     **Returns:** the `Fit` that `project` gives of all samples together, to rounding.
 
     **Raises:** BlockError, naming the block, for one that is no `Samples`, differs from the first in channels, dtype
     or `isotropic`, or holds what `project` refuses, and where fewer or more blocks come than the length says. What
     reading raises is passed on, with a note that names the block. ValueError as of `project` where all blocks together
-    do not determine the fit.
+    do not determine the fit; for a checkpoint of another basis, norm, length or number of processes. ProcessError in
+    every process that is left, where one is lost or has ended with an error.
     """
     chosen = named_norm(norm)
     gamma = penalty(basis, ridge, prior)
-    sums = _Sums(basis, chosen)
-    with suited_threads(basis.count):
-        for samples in regrouped(sums.counted(blocks), STEP):
-            sums.add(samples)
-        check_enough(sums.counts, chosen, basis.count, ridged=gamma is not None)
-        assert sums.factor is not None  # or there was no sample
-        coefficients, condition, root = jax.block_until_ready(solve_factor(sums.factor, gamma, basis.count))
-    check_determined(condition, basis.count, ridged=gamma is not None)
+    length = len(blocks) if isinstance(blocks, Sized) else None
+    sums = BlockSums(basis, chosen, None if mesh is None else own_mesh(mesh))
+    with Processes(mesh, "project_blocks", timeout, _advice(checkpoint)) as processes, suited_threads(basis.count):
+        index, count = processes.index, processes.count
+        run = {"length": length, **fingerprint(basis=basis, norm=norm)}
+        saved = None if checkpoint is None else Checkpoint(checkpoint, run, index, count, every)
+        before = None if saved is None else saved.load()
+        if before is not None:
+            sums.include(before)
+        begin = sums.begin
+
+        def wanted(number: int) -> bool:
+            return number >= begin and number % count == index
+
+        def said(number: int) -> None:
+            processes.check()
+            if on_block is not None:
+                on_block(number, length)
+
+        everything = begin == 0 and count == 1
+        for _ in sums.fold(blocks, None if everything else wanted, said, lambda: saved is not None and saved.due):
+            if saved is not None:
+                saved.save(sums.state())
+        if count > 1:
+            own = packed({**sums.state(), "run": np.asarray(repr(run))})
+            state = unpacked(processes.put_together(own, lambda found: _together(basis, chosen, found)))
+            sums = BlockSums(basis, chosen)
+            sums.include(state)
+        fit = _solved(sums, gamma, covariance=covariance)
+        processes.finish()
+        if saved is not None:
+            saved.remove()
+    return fit
+
+
+def _advice(checkpoint: str | PathLike | None) -> str:
+    if checkpoint is None:
+        return "nothing was written, for no checkpoint was asked for: the same command begins anew"
+    return f"the blocks that are in are kept in {checkpoint}: the same command goes on after them"
+
+
+def _together(basis: AbstractPairBasis, norm: Norm, found: list[bytes]) -> bytes:
+    """The state of all processes from that of each."""
+    sums, states = BlockSums(basis, norm), [unpacked(one) for one in found]
+    runs = [str(state["run"]) for state in states]
+    for k, state in enumerate(states):
+        if runs[k] != runs[0]:
+            raise ValueError(f"process {k} of the mesh makes another call, {runs[k]}, than the first, {runs[0]}")
+        sums.include(state, f"process {k} of the mesh")
+    return packed(sums.state())
+
+
+def _solved(sums: BlockSums, gamma: Array | None, *, covariance: bool) -> Fit[LinearBRDF]:
+    """The fit of the blocks that are in."""
+    basis, norm, ridged = sums.basis, sums.norm, gamma is not None
+    check_enough(sums.counts, norm, basis.count, ridged=ridged)
+    assert sums.factor is not None  # or there was no sample
+    coefficients, condition, root = jax.block_until_ready(solve_factor(sums.factor, gamma, basis.count))
+    check_determined(condition, basis.count, ridged=ridged)
     residual, size = _misfit(sums.factor if sums.judged is None else sums.judged, coefficients)
     spread = noise = None
     if covariance:
         spread, noise = posterior_of(sums.factor, root, coefficients, jnp.asarray(sums.seen))
     return Fit(
-        LinearBRDF(basis, coefficients, chosen.target),
+        LinearBRDF(basis, coefficients, norm.target),
         residual,
         ratio(residual, size),
         condition,
-        norm=norm,
+        norm=norm.name,
         method="QR",
         samples=sums.counts.used,
         unknowns=basis.count,
         covariance=spread,
         noise=noise,
     )
-
-
-class _Sums:
-    """What is known of the blocks so far.
-
-    `factor`: R of [sqrt(w) B, sqrt(w) f] under the weight of the fit; `judged`: under that of the judge, None where it
-    is the same. `counts` of samples; `seen`: those that have a weight in the fit.
-    """
-
-    def __init__(self, basis: AbstractPairBasis, norm: Norm):
-        self.basis, self.norm = basis, norm
-        self.counts, self.seen = Counts(0, 0, 0, 0.0), 0
-        self.factor: Array | None = None
-        self.judged: Array | None = None
-
-    def counted(self, blocks: Iterable[Samples]) -> Iterator[Samples]:
-        """The blocks, each checked and counted before it is handed on."""
-        for number, samples in read_blocks(blocks):
-            try:
-                check_isotropy(self.basis, samples)
-                # Filled up to a power of two: a program is compiled for every size.
-                whole = filled(samples, 1 << (samples.size - 1).bit_length())
-                self.counts = self.counts.plus(check_values(whole, self.norm, samples.size))
-            except ValueError as error:
-                raise BlockError(number, str(error)) from error
-            yield samples
-
-    def add(self, samples: Samples) -> None:
-        """Fold samples into the factors."""
-        self.factor = _folded(self.basis, self.norm, self.factor, samples)
-        if self.norm.judge_series != self.norm.fit:
-            power = cosine_power(samples.wi, samples.wo, self.norm.judge_series - self.norm.fit)
-            judged = samples.reweighted(samples.weight * power)
-            self.judged = _folded(self.basis, self.norm, self.judged, judged)
-        self.seen += int(_seen(self.norm, samples))
-
-
-def _folded(basis: AbstractPairBasis, norm: Norm, factor: Array | None, samples: Samples) -> Array:
-    new = factorize(basis, norm, samples)
-    return new if factor is None else _merged(factor, new)
-
-
-@jax.jit
-def _merged(above: Float[Array, "n n"], below: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    return jnp.linalg.qr(jnp.concatenate([above, below]), mode="r")
-
-
-@partial(jax.jit, static_argnums=0)
-def _seen(norm: Norm, samples: Samples) -> Array:
-    return jnp.sum(samples.weight * norm.fit_weight(samples.wi, samples.wo) > 0)
 
 
 @jax.jit

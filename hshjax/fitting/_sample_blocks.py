@@ -1,6 +1,7 @@
 """Samples in blocks: from arrays of which a slice at a time is read, checked, cut to one size."""
 
-from collections.abc import Iterable, Iterator, Sequence, Sized
+from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
+from contextlib import contextmanager
 from typing import Any, overload
 
 import jax.numpy as jnp
@@ -61,38 +62,80 @@ class SampleBlocks(Sequence[Samples]):
         if not -len(self) <= number < len(self):
             raise IndexError(f"block {number} of {len(self)}")
         start = number % len(self) * self._rows
-        parts = {name: jnp.asarray(np.asarray(part[start : start + self._rows])) for name, part in self._parts.items()}
+        rows = min(self._rows, self._size - start)
+        parts = {name: np.asarray(part[start : start + rows]) for name, part in self._parts.items()}
+        for name, part in parts.items():  # a file may have become shorter than its header says
+            if len(part) != rows:
+                raise BlockError(number % len(self), f"expected {rows} rows of {name} from {start} on, got {len(part)}")
+        parts = {name: jnp.asarray(part) for name, part in parts.items()}
         return Samples.scattered(**parts, isotropic=self._isotropic)
 
 
-def read_blocks(blocks: Iterable[Samples]) -> Iterator[tuple[int, Samples]]:
+Kind = dict[str, Any]
+"""What blocks have in common, by name."""
+
+
+def kind_of(samples: Samples) -> Kind:
+    """Of samples in one dtype."""
+    return {"channels": samples.channels, "dtype": samples.value.dtype.name, "isotropic": samples.isotropic}
+
+
+def read_blocks(
+    blocks: Iterable[Samples], wanted: Callable[[int], bool] | None = None, first: Kind | None = None
+) -> Iterator[tuple[int, Samples]]:
     """The blocks with their numbers, in one dtype each, all of the same kind.
 
-    **Raises:** BlockError for one that is no `Samples` or differs from the first, and where not as many come as the
+    - `wanted(number)`: whether a block is; others are not read where `blocks` is a sequence, and else read and dropped.
+    - `first`: the kind that all must be of; by default that of the first one.
+
+    **Raises:** BlockError for one that is no `Samples` or is of another kind, and where not as many come as the
     length of `blocks` says. What reading raises gets a note that names the block.
     """
-    first, number = None, 0
-    source = iter(blocks)
-    while True:
-        try:
-            samples = next(source)
-        except StopIteration:
-            break
-        except Exception as error:
-            error.add_note(f"while block {number} of samples was read")
-            raise
+    for number, samples in _numbered(blocks, wanted):
         if not isinstance(samples, Samples):
             raise BlockError(number, f"expected Samples, got {type(samples).__name__}")
         wi, wo, value, weight = common_dtype(samples.wi, samples.wo, samples.value, samples.weight)
-        kind = {"channels": value.shape[1], "dtype": value.dtype.name, "isotropic": samples.isotropic}
+        kept = Samples(wi, wo, value, weight, None, samples.isotropic)
+        kind = kind_of(kept)
         first = kind if first is None else first
         for name, expected in first.items():
             if kind[name] != expected:
                 raise BlockError(number, f"expected {name} {expected} as of block 0, got {kind[name]}")
-        yield number, Samples(wi, wo, value, weight, None, samples.isotropic)
+        yield number, kept
+
+
+def _numbered(blocks: Iterable[Any], wanted: Callable[[int], bool] | None) -> Iterator[tuple[int, Any]]:
+    """Those that are wanted, as they come; see `read_blocks`."""
+    if wanted is not None and isinstance(blocks, Sequence):
+        for number in filter(wanted, range(len(blocks))):
+            with _naming(number):
+                block = blocks[number]
+            yield number, block
+        return
+    number, source = 0, iter(blocks)
+    while True:
+        with _naming(number):
+            try:
+                block = next(source)
+            except StopIteration:
+                break
+        if wanted is None or wanted(number):
+            yield number, block
         number += 1
     if isinstance(blocks, Sized) and len(blocks) != number:
         raise BlockError(number, f"expected {len(blocks)} blocks, as many as their length says, got {number}")
+
+
+@contextmanager
+def _naming(number: int) -> Iterator[None]:
+    """What reading raises tells at which block."""
+    try:
+        yield
+    except BlockError:
+        raise
+    except Exception as error:
+        error.add_note(f"while block {number} of samples was read")
+        raise
 
 
 def regrouped(blocks: Iterable[Samples], rows: int) -> Iterator[Samples]:

@@ -14,6 +14,7 @@ from hshjax.io.exr import exr_channels as exr_channels, read_exr as read_exr, wr
 from hshjax.io.folder import Listed as Listed, list_materials as list_materials
 from hshjax.io.fred import measured_fred as measured_fred, read_fred as read_fred
 from hshjax.io.glsl import glsl_source as glsl_source, write_glsl as write_glsl
+from hshjax.io.image_stack import stack_images as stack_images
 from hshjax.io.light_positions import (
     read_light_positions as read_light_positions,
     read_photograph_folder as read_photograph_folder,

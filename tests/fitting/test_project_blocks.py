@@ -48,7 +48,7 @@ def cut(samples, *ends):
     [slow_unless((norm, ridge) in {("D", 0.0), ("C", 1e-2)}, norm, ridge) for norm in "ABCDE" for ridge in (0.0, 1e-2)],
 )
 def test_the_same_as_all_at_once(norm, ridge, monkeypatch):
-    monkeypatch.setattr("hshjax.fitting._project_blocks.STEP", 512)
+    monkeypatch.setattr("hshjax.fitting._block_sums.STEP", 512)
     settings = {"norm": norm, "ridge": ridge, "prior": "spectral" if ridge else None, "covariance": True}
     expected = project(BASIS, whole(), reciprocity=False, **settings)
     for blocks in (cut(whole()), cut(whole(), 1, 2, 700, 700, 2990), iter(cut(whole(), 512, 1024))):
@@ -170,3 +170,142 @@ def test_arrays_that_do_not_fit_together(changed, message):
     parts = dict(zip(("wi", "wo", "value", "weight"), arrays(), strict=True)) | changed
     with pytest.raises(ValueError, match=message):
         SampleBlocks(**parts)
+
+
+class Counted(SampleBlocks):
+    """Says which blocks were read, and breaks at one of them."""
+
+    broken: int | None = None
+
+    def __init__(self, *arguments, **settings):
+        super().__init__(*arguments, **settings)
+        self.read = []
+
+    def __getitem__(self, number):
+        if number == self.broken:
+            raise OSError("the disk is gone")
+        self.read.append(number)
+        return super().__getitem__(number)
+
+
+def blocks_of(rows=300):
+    return Counted(*arrays(), rows=rows, isotropic=True)
+
+
+def interrupted(folder, at=4, **settings):
+    """A run with a checkpoint that breaks at a block."""
+    blocks = blocks_of()
+    blocks.broken = at
+    with pytest.raises(OSError, match="the disk is gone") as caught:
+        project_blocks(BASIS, blocks, checkpoint=folder, every=0.0, **settings)
+    assert caught.value.__notes__ == [f"while block {at} of samples was read"]
+
+
+@pytest.mark.parametrize("norm", ["D", "C"])  # the second carries a second factor
+def test_a_run_goes_on_after_the_blocks_that_are_in(norm, tmp_path, unchecked):
+    interrupted(tmp_path, norm=norm)
+    blocks, said = blocks_of(), []
+    settings = {"norm": norm, "ridge": 1e-3, "covariance": True}  # which may differ from those before
+    got = project_blocks(
+        BASIS, blocks, checkpoint=tmp_path, on_block=lambda number, of: said.append((number, of)), **settings
+    )
+    assert blocks.read == list(range(4, 10))
+    assert said == [(k, 10) for k in range(4, 10)]
+    assert not list(tmp_path.iterdir())
+    expected = project_blocks(BASIS, blocks_of(), **settings)
+    assert got.samples == expected.samples
+    for name in ("residual", "relative", "covariance", "noise"):
+        assert_close(getattr(got, name), getattr(expected, name), tolerance=None if X64 else 1e-3)
+    assert_close(got.model.coefficients, expected.model.coefficients, tolerance=None if X64 else 1e-3)
+
+
+def test_a_generator_goes_on_too(tmp_path, unchecked):
+    interrupted(tmp_path)
+    got = project_blocks(BASIS, cut(whole(), *range(300, N, 300)).__iter__(), checkpoint=None)
+    with pytest.raises(ValueError, match="whose length was 10 and is None now"):
+        project_blocks(BASIS, iter(blocks_of()), checkpoint=tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.unlink()
+
+    def breaking():
+        yield from blocks_of()[:4]
+        raise OSError("the disk is gone")
+
+    with pytest.raises(OSError, match="the disk is gone"):
+        project_blocks(BASIS, breaking(), checkpoint=tmp_path, every=0.0)
+    again = project_blocks(BASIS, iter(blocks_of()), checkpoint=tmp_path)
+    assert_close(again.model.coefficients, got.model.coefficients, tolerance=None if X64 else 1e-3)
+
+
+def test_what_is_in_is_kept_where_it_does_not_determine_the_fit(tmp_path):
+    few = SampleBlocks(*(array[:8] for array in arrays()), rows=4, isotropic=True)
+    with pytest.raises(ValueError, match="there are 10 unknowns"):
+        project_blocks(BASIS, few, checkpoint=tmp_path)
+    assert project_blocks(BASIS, few, checkpoint=tmp_path, ridge=1e-2).unknowns == 10
+
+
+def test_a_checkpoint_of_another_run_is_refused(tmp_path, unchecked):
+    interrupted(tmp_path)
+    for changed, words in {
+        "basis": (IsotropicBasis(HSH(1)), {}),
+        "norm": (BASIS, {"norm": "A"}),
+    }.items():
+        with pytest.raises(ValueError, match=f"is of another run, whose {changed} was .* and is .* now: take another"):
+            project_blocks(words[0], blocks_of(), checkpoint=tmp_path, **words[1])
+    with pytest.raises(ValueError, match="whose length was 10 and is 30 now"):
+        project_blocks(BASIS, blocks_of(100), checkpoint=tmp_path)
+    other = SampleBlocks(*(np.asarray(array, np.float16) for array in arrays()), rows=300, isotropic=True)
+    with pytest.raises(BlockError, match=r"block 4: expected dtype .* got float16"):
+        project_blocks(BASIS, other, checkpoint=tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.rename(tmp_path / "blocks-0-of-3.npz")
+    with pytest.raises(ValueError, match="holds what 3 processes have done, and the run has 1 now"):
+        project_blocks(BASIS, blocks_of(), checkpoint=tmp_path)
+
+
+@pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b[:200] + b"?" + b[201:]])
+def test_a_damaged_checkpoint_is_refused_by_name(damage, tmp_path, unchecked):
+    interrupted(tmp_path)
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(ValueError, match=r"blocks-0-of-1.npz is damaged .*: remove it to begin anew"):
+        project_blocks(BASIS, blocks_of(), checkpoint=tmp_path)
+
+
+def test_nothing_half_written_is_taken_for_finished(tmp_path, monkeypatch, unchecked):
+    interrupted(tmp_path)
+    (file,) = tmp_path.iterdir()
+    before = file.read_bytes()
+
+    def cut_short(descriptor):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("os.fsync", cut_short)
+    with pytest.raises(OSError, match="no space left"):
+        project_blocks(BASIS, blocks_of(), checkpoint=tmp_path, every=0.0)
+    assert [one.name for one in tmp_path.iterdir()] == [file.name]
+    assert file.read_bytes() == before
+
+
+def test_arrays_that_become_shorter(unchecked):
+    parts = [np.asarray(array) for array in arrays()]
+
+    class Shortened:
+        """As a file that was truncated behind its header."""
+
+        shape, dtype = parts[2].shape, parts[2].dtype
+
+        def __getitem__(self, rows):
+            return parts[2][: N - 700][rows]
+
+    blocks = SampleBlocks(parts[0], parts[1], Shortened(), parts[3], rows=1000, isotropic=True)
+    with pytest.raises(BlockError, match="block 2: expected 1000 rows of value from 2000 on, got 300"):
+        project_blocks(BASIS, blocks)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"), [({"every": -1.0}, "every must be >= 0"), ({"timeout": 0.0}, "timeout")]
+)
+def test_settings_that_make_no_sense(changed, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        project_blocks(BASIS, blocks_of(), checkpoint=tmp_path, **changed)

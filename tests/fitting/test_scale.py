@@ -38,7 +38,7 @@ def temporaries(n):
     samples, model = shapes(n), LinearBRDF(BASIS, jnp.zeros((165, 3), jnp.float32))
     programs = {
         "QR": factorize.lower(BASIS, NORMS["A"], samples),
-        "inner products": _inner_products.lower(BASIS, NORMS["D"], samples),
+        "inner products": _inner_products.lower(BASIS, NORMS["D"], None, samples),
         "residual": jax.jit(lambda model, samples: misfit(model, samples, "A")).lower(model, samples),
     }
     return {name: program.compile().memory_analysis().temp_size_in_bytes for name, program in programs.items()}
@@ -59,3 +59,13 @@ def test_ten_million_samples_in_less_than_3_gigabytes():
     figures = json.loads(done.stdout)
     assert (figures["samples"], figures["unknowns"], figures["channels"]) == (10_000_000, 165, 3)
     assert figures["peak_gigabytes"] < 3
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_scaling_runs(tmp_path):
+    command = [sys.executable, "-m", "benchmarks.scaling", "--smoke", "--out", tmp_path]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    report = json.loads(done.stdout.splitlines()[-1])
+    assert report == json.loads((tmp_path / "scaling.json").read_text())
+    assert set(report["exponents"]) == {"samples", "unknowns", "materials", "pixels", "devices"}
+    assert (tmp_path / "scaling.png").stat().st_size > 1000

@@ -1,0 +1,51 @@
+"""Many fits of one kind, spread over devices."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh
+
+from hshjax.fitting._mesh import ALIKE, SHARES, flat_mesh, gathered, put
+
+
+def map_over_mesh(function: Callable[[Any], Any], batch: Any, mesh: Mesh) -> Any:
+    """`jax.vmap(function)(batch)`, the elements shared out over the devices of a mesh: fits of many materials, say.
+
+        batch = jax.tree.map(lambda *parts: jnp.stack(parts), *samples)  # Samples of equal sizes, one for each material
+        fits = map_over_mesh(lambda one: fit(start, {"data": SampleMisfit(one)}, throw=False), batch, device_mesh())
+
+    - `function`: of one element, traced by jax; it returns a pytree. Arrays that it closes over are on every device.
+    - `batch`: a pytree whose arrays have a leading axis of equal length, of any number of elements.
+    - `mesh`: see `project`. Where it is of several processes, all make the same call with the same batch.
+
+    **Returns:** results with the same leading axis, as arrays of one device.
+
+    **Raises:** ValueError where leading axes differ or there is no element.
+    """
+    arrays, rest = eqx.partition(batch, eqx.is_array_like)
+    arrays = jax.tree.map(np.asarray, arrays)
+    lengths = {leaf.shape[:1] for leaf in jax.tree.leaves(arrays)}
+    if len(lengths) != 1 or lengths & {(), (0,)}:
+        raise ValueError(
+            f"a batch needs arrays with a leading axis of equal length, at least 1, got {sorted(lengths)} of its leaves"
+        )
+    ((count,),) = lengths
+    mesh = flat_mesh(mesh)
+    lacking = -count % mesh.size
+
+    def placed(leaf):  # the last element in place of what lacks: it is sure to be one that can be fitted
+        return put(np.concatenate([leaf, np.repeat(leaf[-1:], lacking, axis=0)]), mesh)
+
+    def share(arrays):
+        results = jax.vmap(lambda one: eqx.filter(function(eqx.combine(one, rest)), eqx.is_array))(arrays)
+        return results
+
+    static = eqx.filter_eval_shape(lambda one: function(eqx.combine(one, rest)), jax.tree.map(lambda a: a[0], arrays))
+    static = eqx.filter(static, lambda leaf: isinstance(leaf, jax.ShapeDtypeStruct), inverse=True)
+    each = jax.shard_map(share, mesh=mesh, in_specs=SHARES, out_specs=SHARES, check_vma=False)
+    run = jax.jit(each, out_shardings=jax.NamedSharding(mesh, ALIKE))
+    found = jax.tree.map(lambda leaf: leaf[:count], gathered(run(jax.tree.map(placed, arrays)), mesh))
+    return eqx.combine(found, static)

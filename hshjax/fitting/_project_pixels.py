@@ -1,0 +1,185 @@
+"""Relightable images: in every pixel a series over the direction of the light, from photographs under known lights.
+
+    L(pixel, light) ~ Σ_k c_k(pixel) y_k(light)
+
+All pixels see the same lights, so that one factorisation serves all: coefficients are one matrix, of as many rows as
+functions and columns as lights, times the values of a pixel.
+"""
+
+import json
+from collections.abc import Callable
+from os import PathLike
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+
+from hshjax._typing import Array, Float
+from hshjax.bases import AbstractBasis
+from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
+from hshjax.fitting._light_design import LightDesign, fit_pixels
+from hshjax.fitting._mesh import own_mesh
+from hshjax.fitting._prior import Prior
+from hshjax.fitting._processes import Processes
+from hshjax.fitting._tile_results import TileResults
+from hshjax.fitting._tiles import TileError, Tiles, check_finite
+
+
+class PixelFit(eqx.Module):
+    """Coefficients of every pixel, and what can be said about the fit.
+
+    - `coefficients`: `(pixels, functions, channels)`: an array, mapped from a file, or the `out` that was given.
+    - `residual`: root of Σ w |L - L̂|² over pixels and lights, per channel. - `relative`: that over the root of
+      Σ w |L|².
+    - `condition`: condition number of the weighted design matrix, shared by all pixels.
+    """
+
+    basis: AbstractBasis
+    coefficients: Any
+    residual: Float[np.ndarray, " channels"]
+    relative: Float[np.ndarray, " channels"]
+    condition: float
+
+    def relit(self, light: Float[Array, "3"], pixels: slice = slice(None)) -> Float[Array, "pixels channels"]:
+        """What some pixels look like under a light from that direction, as strong as those of the photographs."""
+        coefficients = jnp.asarray(np.asarray(self.coefficients[pixels]))
+        return self.basis.evaluate(jnp.swapaxes(coefficients, 0, 1), light)
+
+
+def project_pixels(
+    basis: AbstractBasis,
+    lights: Float[Array, "lights 3"] | np.ndarray,
+    source: Any,
+    *,
+    weight: Float[Array, " lights"] | np.ndarray | None = None,
+    ridge: float = 0.0,
+    prior: Prior | None = None,
+    out: Any = None,
+    pixels: int | None = None,
+    rows: int = 2**15,
+    mesh: Mesh | None = None,
+    checkpoint: str | PathLike | None = None,
+    every: float = 30.0,
+    timeout: float = 60.0,
+    on_tile: Callable[[int, int | None], None] | None = None,
+) -> PixelFit:
+    """A series over the direction of the light in every pixel: least squares, tile by tile in bounded memory.
+
+    - `basis`: functions of one direction: `HSH` for lights above a plane, `SphericalHarmonics` for lights all around.
+    - `lights`: unit vectors towards the distant lights, in the frame of the basis (the camera's, or the plane's).
+    - `source`: photographs, linear in light, under lights of one strength: anything with `shape` (pixels, lights,
+      channels) that gives an array for `source[start:stop]` (of numpy, mapped, of h5py, zarr, `io.stack_images`), which
+      is cut into tiles of `rows` pixels; or anything that yields such tiles.
+    - `weight`: of every light; 0 leaves one out, whatever its values are.
+    - `ridge`, `prior`: see `project`; "spectral" is (n(n+1))², which leaves the constant free.
+    - `out`: where coefficients go: None for memory; anything with `shape` (pixels, functions, channels) that takes
+      `out[start:stop] = array`; or the path of a .npy file, which gets its name when it is whole. Beside a path, the
+      folder `.NAME.unfinished` holds what is done, and the same call goes on from there after an interruption.
+    - `pixels`: how many a source without a shape will yield; a path needs to know.
+    - `checkpoint`: a folder for what has been done, where `out` is an array that outlives the process. `every`: see
+      `project_blocks`. Only tiles are in it that are whole in `out`, and flushed where `out` can.
+    - `mesh`, `timeout`: see `project_blocks`. Each device takes a share of the pixels of a tile, each process every
+      n-th tile. `out` must then be writable by all processes: a path that all share, or an array of which different
+      parts may be written at the same time.
+    - `on_tile(number, of)`: called when a tile has been written, `of` how many there are or None.
+
+    Integers count as they are; the result has the dtype of floating values, or else jax's default.
+
+    **Returns:** a `PixelFit`.
+
+    **Raises:** TileError, naming the tile, for one of another shape or dtype than the first, for values that are not
+    finite, and where another number of pixels comes than was said. ValueError for lights that are not of unit length,
+    below the horizon of the basis, or do not determine the functions; for a source, `out` or checkpoint that do not
+    fit. ProcessError: see `project_blocks`.
+    """
+    design = LightDesign(basis, lights, weight, ridge, prior)
+    tiles, results = Tiles(source, rows, len(design.rows)), TileResults(out)
+    total = _total(tiles, pixels, out, results)
+    if checkpoint is not None and (out is None or results.path is not None):
+        raise ValueError("a checkpoint is for an `out` that is an array and outlives the process; a path has its own")
+    folder = results.unfinished if checkpoint is None else checkpoint
+    dtype = _floating(tiles.dtype)
+    run = {"pixels": total, "tiles": rows if tiles.pixels else "as they come", "kind": tiles.kind}
+    run |= fingerprint(basis=basis, lights=design.operator)
+    own, of = None if mesh is None else own_mesh(mesh), len(tiles) if tiles.pixels else None
+    with Processes(mesh, "project_pixels", timeout, _advice(folder)) as processes:
+        index, count = processes.index, processes.count
+        if count > 1 and out is None:
+            raise ValueError("processes that share the pixels need an `out` to write to, got None")
+        saved = None if folder is None else Checkpoint(folder, run, index, count, every)
+        state = (None if saved is None else saved.load()) or {
+            "numbers": np.zeros(2, np.int64),
+            "sums": np.zeros((2, tiles.channels)),
+        }
+        begin, shape = int(state["numbers"][0]), (total, basis.count, tiles.channels)
+
+        def create(found: list[bytes]) -> bytes:
+            """What the first process does for all."""
+            calls = [json.loads(one) for one in found]
+            for k, (call, _) in enumerate(calls):
+                if call != calls[0][0]:
+                    raise ValueError(
+                        f"process {k} of the mesh makes another call, {call}, than the first, {calls[0][0]}"
+                    )
+            results.create(shape, dtype, anew=not any(done for _, done in calls))
+            return b""
+
+        processes.put_together(json.dumps([run, begin]).encode(), create)
+        results.open(shape)
+        for tile in tiles.read(lambda number: number >= begin and number % count == index):
+            check_finite(tile, design.weight > 0)
+            coefficients, sums = fit_pixels(design, tile.values.astype(dtype), own)
+            results.write(tile, coefficients)
+            done = int(state["numbers"][1]) + len(coefficients)
+            state = {"numbers": np.asarray([tile.number + 1, done]), "sums": state["sums"] + sums}
+            processes.check()
+            if on_tile is not None:
+                on_tile(tile.number, of)
+            if saved is not None and saved.due:
+                results.flush()
+                saved.save(state)
+        if saved is not None:
+            results.flush()
+            saved.save(state)
+
+        def publish(found: list[bytes]) -> bytes:
+            states = [unpacked(one) for one in found]
+            done = sum(int(one["numbers"][1]) for one in states)
+            if total not in (None, done):
+                last = max(int(one["numbers"][0]) for one in states)
+                raise TileError(last, f"expected {total} pixels in all, got {done} up to here")
+            results.publish()
+            return packed({"sums": np.sum([one["sums"] for one in states], axis=0)})
+
+        error, size = np.sqrt(unpacked(processes.put_together(packed(state), publish))["sums"])
+        processes.finish()
+        if saved is not None:
+            saved.remove()
+        if index == 0:
+            results.clear()
+    coefficients = results.array if results.path is None else np.load(results.path, mmap_mode="r")
+    return PixelFit(basis, coefficients, error, error / np.where(size > 0, size, 1), design.condition)
+
+
+def _total(tiles: Tiles, pixels: int | None, out: Any, results: TileResults) -> int | None:
+    """How many pixels there are to be, where anything says so."""
+    if tiles.pixels is not None:
+        if pixels not in (None, tiles.pixels):
+            raise ValueError(f"pixels is for a source without shape; this one has {tiles.pixels}, got {pixels}")
+        return tiles.pixels
+    return int(out.shape[0]) if pixels is None and out is not None and results.path is None else pixels
+
+
+def _floating(dtype: np.dtype) -> np.dtype:
+    """In which values are computed with: their own where that is float32 or jax has float64."""
+    default = jnp.zeros(()).dtype
+    return jax.dtypes.canonicalize_dtype(np.promote_types(dtype, np.float32)) if dtype.kind == "f" else default
+
+
+def _advice(folder: Any) -> str:
+    if folder is None:
+        return "nothing was kept: the same command begins anew"
+    return f"the tiles that are done are kept in {folder}: the same command goes on after them"

@@ -1,0 +1,134 @@
+"""Pixels in tiles, from arrays of which a slice at a time is read, or from whatever yields them."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class TileError(ValueError):
+    """A tile of pixels that cannot be used, or that is missing: `tile` is its number from 0."""
+
+    def __init__(self, tile: int, message: str):
+        super().__init__(tile, message)
+        self.tile, self.message = tile, message
+
+    def __str__(self) -> str:
+        return f"tile {self.tile}: {self.message}"
+
+
+class Tile(NamedTuple):
+    """Some pixels: their number, the place of the first, and their values `(pixels, lights, channels)`."""
+
+    number: int
+    start: int
+    values: np.ndarray
+
+
+class Tiles:
+    """Photographs in tiles of pixels, each read when it is its turn.
+
+    - `source`: anything with `shape` that gives an array for `source[start:stop]`, cut into tiles of `rows` pixels; or
+      anything that yields tiles, of which all are gone through. - `lights`: how many there are.
+    - `pixels`: how many there are, None where that is not known. - `channels`, `dtype`: of all, and `kind`, in words.
+
+    **Raises:** ValueError for a shape that is not (pixels, lights, channels), and for rows < 1; TileError for the first
+    tile, see `read`.
+    """
+
+    def __init__(self, source: Any, rows: int, lights: int):
+        if rows < 1:
+            raise ValueError(f"rows of a tile must be at least 1, got {rows}")
+        self._source, self._rows, self._lights = source, rows, lights
+        self.pixels: int | None = None
+        if hasattr(source, "shape"):
+            shape = tuple(int(size) for size in source.shape)
+            if len(shape) != 3 or shape[1] != lights or 0 in shape:
+                raise ValueError(f"photographs must be (pixels, {lights} lights, channels), got {shape}")
+            self.pixels = shape[0]
+            with _naming(0):
+                first = np.asarray(source[0:1])
+        else:
+            self._tiles = iter(source)
+            with _naming(0):
+                first = np.asarray(next(self._tiles, np.zeros((0, lights, 0))))
+            self._tiles = chain([first], self._tiles)
+        self._check(0, first, None)
+        self.channels, self.dtype = first.shape[2], first.dtype
+        self.kind = _kind(first)
+
+    def __len__(self) -> int:
+        """Of a source with a shape."""
+        assert self.pixels is not None  # or it is not known
+        return -(-self.pixels // self._rows)
+
+    def read(self, wanted: Callable[[int], bool]) -> Iterator[Tile]:
+        """The tiles that are wanted, in order.
+
+        **Raises:** TileError for one of another shape, or of other channels or dtype than the first. What reading
+        raises gets a note that names the tile.
+        """
+        for tile in self._yielded(wanted) if self.pixels is None else self._cut(self.pixels, wanted):
+            self._check(tile.number, tile.values, self.kind)
+            yield tile
+
+    def _check(self, number: int, values: np.ndarray, kind: str | None) -> None:
+        if values.ndim != 3 or values.shape[1] != self._lights or 0 in values.shape:
+            raise TileError(number, f"expected (pixels, {self._lights} lights, channels), got {values.shape}")
+        if values.dtype.kind not in "fiu":
+            raise TileError(number, f"expected real numbers, got {values.dtype}")
+        if kind not in (None, _kind(values)):
+            raise TileError(number, f"expected {kind} as of the first, got {_kind(values)}")
+
+    def _cut(self, pixels: int, wanted: Callable[[int], bool]) -> Iterator[Tile]:
+        for number in filter(wanted, range(len(self))):
+            start = number * self._rows
+            stop = min(start + self._rows, pixels)
+            with _naming(number):
+                values = np.asarray(self._source[start:stop])
+            if len(values) != stop - start:  # a file may have become shorter than its header says
+                raise TileError(number, f"expected {stop - start} pixels from {start} on, got {len(values)}")
+            yield Tile(number, start, values)
+
+    def _yielded(self, wanted: Callable[[int], bool]) -> Iterator[Tile]:
+        number = start = 0
+        while True:
+            with _naming(number):
+                try:
+                    values = np.asarray(next(self._tiles))
+                except StopIteration:
+                    return
+            if wanted(number):
+                yield Tile(number, start, values)
+            start += len(values)
+            number += 1
+
+
+def _kind(values: np.ndarray) -> str:
+    return f"{values.shape[2]} channels of {values.dtype.name}"
+
+
+def check_finite(tile: Tile, used: np.ndarray) -> None:
+    """TileError for values that are not finite under a light that is used."""
+    if tile.values.dtype.kind != "f":
+        return
+    bad = ~np.isfinite(tile.values).all(axis=2) & used
+    if bad.any():
+        pixel, light = np.argwhere(bad)[0]
+        raise TileError(
+            tile.number,
+            f"{bad.sum()} values are NaN or infinite, the first of pixel {tile.start + pixel} under light {light}: "
+            "give that light the weight 0, or fill them in",
+        )
+
+
+@contextmanager
+def _naming(number: int) -> Iterator[None]:
+    """What reading raises tells at which tile."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(f"while tile {number} of pixels was read")
+        raise
