@@ -16,7 +16,7 @@ if __name__ == "__main__":
     CORES = cores_of(sys.argv[1])
     claim(CORES)
 
-import numpy as np  # noqa: E402  after the cores have been claimed, which its BLAS counts
+import numpy as np  # after the cores have been claimed, which its BLAS counts
 
 LIMITS = ("bandwidth", "float32", "float64")
 LENGTH = 2**25

@@ -35,7 +35,9 @@ def line(row: dict[str, Any]) -> str:
 
 def table(machine: dict[str, Any], rows: list[dict[str, Any]]) -> str:
     """Markdown: the machine, and a line for every row."""
-    stated = ", ".join(f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in machine.items())
+    stated = ", ".join(
+        f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in machine.items()
+    )
     head = (
         "| verb | basis | order | points | channels | dtype | ns a point and function | of the peer (quartiles) | "
         "peer | of the limit | compile [s] | peak [MB] | largest error |"
@@ -56,7 +58,9 @@ def table(machine: dict[str, Any], rows: list[dict[str, Any]]) -> str:
 def write(folder: Path, name: str, machine: dict[str, Any], rows: list[dict[str, Any]]) -> None:
     """`name` with .json, .md and .png in the folder, which is made."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / f"{name}.json").write_text(json.dumps({"machine": machine, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+    (folder / f"{name}.json").write_text(
+        json.dumps({"machine": machine, "rows": rows}, indent=1) + "\n", encoding="utf-8"
+    )
     (folder / f"{name}.md").write_text(table(machine, rows), encoding="utf-8")
     draw(rows, folder / f"{name}.png")
 

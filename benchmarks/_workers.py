@@ -20,7 +20,7 @@ class Worker:
     """A process that answers requests, see `_serve`. Ends with the `with` block that it is made in."""
 
     def __init__(self, command: Sequence[str], variables: Mapping[str, str] | None = None):
-        self._said = tempfile.TemporaryFile("w+")
+        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115  closed by `__exit__`
         self._command = list(command)
         self._process = subprocess.Popen(
             self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, text=True, cwd=ROOT,

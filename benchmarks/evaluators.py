@@ -33,7 +33,9 @@ class Limits:
     def __init__(self, stack: ExitStack, cores: list[int]):
         command = [sys.executable, "-m", "benchmarks._limits", _workers.joined(cores)]
         self._workers = {name: stack.enter_context(Worker(command)) for name in LIMITS}
-        self._amount = {name: one.ask(do="prepare", case={"limit": name})["amount"] for name, one in self._workers.items()}
+        self._amount = {
+            name: one.ask(do="prepare", case={"limit": name})["amount"] for name, one in self._workers.items()
+        }
         self._seconds: dict[str, list[float]] = {name: [] for name in LIMITS}
 
     def measure(self) -> None:
@@ -108,7 +110,9 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/evaluators"), help="folder of what is written")
     chosen = parser.parse_args()
-    available = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+    available = (
+        sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+    )
     cores = available[-chosen.cores :]
     cases = _matrix.smoke if chosen.smoke else _matrix.full if chosen.full else _matrix.selection
     if chosen.figures:
