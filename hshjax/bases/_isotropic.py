@@ -156,25 +156,26 @@ def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:
     return (azimuth[n.sine.astype(np.int32), n.m] * radial).T
 
 
-def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> tuple[Array, ...]:
+def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> list[Array]:
     """Of every channel `(pairs,)`: Σ_m Σ_k R_k(o) Σ_j A_jk R_j(i) times cosine or sine, from coefficients times N."""
     n, basis = pairs.table(), pairs.basis
     chart_i, chart_o, orders = basis.chart(wi), basis.chart(wo), len(basis.tables().start)
-    square, odd = _difference_chart(chart_i, chart_o)
-    even, series = _written_out.even_powers(square, orders), _written_out.by_channel(coefficients)
-    terms: list[list[Array]] = [[] for _ in series]
-    for m in range(orders):
-        i, o = (_written_out.radial(basis, chart.x, m) for chart in (chart_i, chart_o))
-        power = _written_out.times(even[m // 2], odd if m % 2 else None)
-        for sine in (False, True):
-            columns = np.flatnonzero((n.m == m) & (n.sine == sine))
-            for one, found in zip(series, terms, strict=True) if columns.size else ():
+
+    def of_channel(coefficients, x_i, x_o, square, odd):
+        even, one, terms = _written_out.even_powers(square, orders), _written_out.one_by_one(coefficients), []
+        for m in range(orders):
+            i, o = (_written_out.radial(basis, x, m) for x in (x_i, x_o))
+            power = _written_out.times(even[m // 2], odd if m % 2 else None)
+            for sine in (False, True):
                 inner: dict[int, list[Array]] = {}
-                for column in columns:
+                for column in np.flatnonzero((n.m == m) & (n.sine == sine)):
                     j, k, value = int(n.j[column]), int(n.k[column]), one[column]
                     inner.setdefault(k, []).append(value * i[j])
                     if j != k:
                         inner.setdefault(j, []).append((-value if sine else value) * i[k])
-                matrix = _written_out.total(o[k] * _written_out.total(row) for k, row in inner.items())
-                found.append(matrix if power is None else matrix * power[int(sine)])
-    return tuple(map(_written_out.total, terms))
+                if inner:
+                    series = _written_out.total(o[k] * _written_out.total(row) for k, row in inner.items())
+                    terms.append(series if power is None else series * power[int(sine)])
+        return _written_out.total(terms)
+
+    return _written_out.by_channel(of_channel, coefficients, chart_i.x, chart_o.x, *_difference_chart(chart_i, chart_o))

@@ -8,6 +8,7 @@ functions are taken of the loops.
 from collections.abc import Callable, Iterable
 from functools import partial, reduce
 from operator import add
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -96,27 +97,33 @@ def even_powers(square: Pair, orders: int) -> list[Pair | None]:
 def sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
     """Σ_k c_k y_k(w), `(points, channels)`."""
 
-    def of_block(coefficients, w):
-        chart, columns, orders = basis.chart(w), basis.columns(), len(basis.tables().start)
-        even, series = even_powers(chart.square, orders), by_channel(coefficients)
-        terms: list[list[Array]] = [[] for _ in series]
+    columns, orders = basis.columns(), len(basis.tables().start)
+
+    def of_channel(coefficients, chart):
+        even, one, terms = even_powers(chart.square, orders), one_by_one(coefficients), []
         for m in range(orders):
             p = radial(basis, chart.x, m)
             power = times(even[m // 2], chart.odd if m % 2 else None)
-            for one, found in zip(series, terms, strict=True):
-                for part in range(2 if m else 1):
-                    value = total(one[column] * f for column, f in zip(columns[m, :, part], p, strict=False))
-                    found.append(value if power is None else value * power[part])
-        return jnp.stack([total(found) for found in terms], axis=-1)
+            for part in range(2 if m else 1):
+                value = total(one[column] * f for column, f in zip(columns[m, :, part], p, strict=False))
+                terms.append(value if power is None else value * power[part])
+        return total(terms)
+
+    def of_block(coefficients, w):
+        return jnp.stack(by_channel(of_channel, coefficients, basis.chart(w)), axis=-1)
 
     return kernel(of_block, coefficients, w)
 
 
-def by_channel(coefficients: Float[Array, "modes channels"]) -> list[list[Array]]:
-    """Coefficients one by one, `(1,)` each. Indexing them would take longer than the rest to trace."""
-    modes, channels = coefficients.shape
-    parts = jax.lax.split(coefficients.T.reshape(-1), (1,) * (modes * channels))
-    return [list(parts[first : first + modes]) for first in range(0, modes * channels, modes)]
+def by_channel(function: Callable, coefficients: Float[Array, "modes channels"], *arrays: Any) -> list:
+    """`function(coefficients, *arrays)` of every channel, traced once."""
+    once = jax.jit(function)
+    return [once(coefficients[:, channel], *arrays) for channel in range(coefficients.shape[1])]
+
+
+def one_by_one(coefficients: Float[Array, " modes"]) -> list[Array]:
+    """Coefficients `(1,)` each. Indexing them would take longer than the rest to trace."""
+    return jax.lax.split(coefficients, (1,) * coefficients.size)
 
 
 def total(terms: Iterable[Array]) -> Array:
@@ -163,41 +170,42 @@ def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Arra
     of the chart.
     """
 
-    def of_block(coefficients, w):
-        chart, columns, orders = basis.chart(w), basis.columns(), len(basis.tables().start)
-        axes = [jnp.broadcast_to(axis, w.shape) for axis in jnp.eye(3, dtype=w.dtype)]
-        moved = [jax.jvp(basis.chart, (w,), (axis,))[1] for axis in axes]
-        even, odd = even_powers(chart.square, orders), chart.odd
-        series = by_channel(coefficients)
-        by_x, by_square, by_odd = ([[] for _ in series] for _ in range(3))
+    columns, orders = basis.columns(), len(basis.tables().start)
+
+    def of_channel(coefficients, chart, moved):
+        even, odd, one = even_powers(chart.square, orders), chart.odd, one_by_one(coefficients)
+        by_x, by_square, by_odd = [], [], []
         for m in range(orders):
             p = radial(basis, chart.x, m)
             slopes = radial_slopes(basis, chart.x, m, p)
             q, r = divmod(m, 2)
             power, below = times(even[q], odd if r else None), times(even[q - 1], odd if r else None) if q else None
-            for k, one in enumerate(series):
-                for part in range(2 if m else 1):
-                    if slopes:
-                        slope = total(one[column] * f for column, f in zip(columns[m, 1:, part], slopes, strict=False))
-                        by_x[k].append(slope if power is None else slope * power[part])
-                if m:
-                    a, b = (
-                        total(one[column] * f for column, f in zip(columns[m, :, part], p, strict=False))
-                        for part in (0, 1)
-                    )
-                    if q:
-                        by_square[k].append(times((q * a, -q * b), below))
-                    if r:
-                        by_odd[k].append(times((a, -b), even[q]))
+            for part in range(2 if m else 1):
+                if slopes:
+                    slope = total(one[column] * f for column, f in zip(columns[m, 1:, part], slopes, strict=False))
+                    by_x.append(slope if power is None else slope * power[part])
+            if m:
+                a, b = (
+                    total(one[column] * f for column, f in zip(columns[m, :, part], p, strict=False)) for part in (0, 1)
+                )
+                if q:
+                    by_square.append(times((q * a, -q * b), below))
+                if r:
+                    by_odd.append(times((a, -b), even[q]))
 
-        def along(k, moved):
-            terms = [total(by_x[k]) * moved.x] if by_x[k] else [jnp.zeros_like(chart.x)]
-            for found, by in ((by_square[k], moved.square), (by_odd[k], moved.odd)):
+        def along(by):
+            terms = [total(by_x) * by.x] if by_x else [jnp.zeros_like(chart.x)]
+            for found, change in ((by_square, by.square), (by_odd, by.odd)):
                 if found:
-                    terms.append(total(re for re, _ in found) * by[0] - total(im for _, im in found) * by[1])
+                    terms.append(total(re for re, _ in found) * change[0] - total(im for _, im in found) * change[1])
             return total(terms)
 
-        return tuple(along(k, one) for k in range(len(series)) for one in moved)
+        return tuple(map(along, moved))
+
+    def of_block(coefficients, w):
+        axes = [jnp.broadcast_to(axis, w.shape) for axis in jnp.eye(3, dtype=w.dtype)]
+        moved = [jax.jvp(basis.chart, (w,), (axis,))[1] for axis in axes]
+        return [change for one in by_channel(of_channel, coefficients, basis.chart(w), moved) for change in one]
 
     found = kernel(of_block, coefficients, w)
     return jnp.stack(found, axis=-1).reshape(*w.shape[:1], coefficients.shape[1], 3)
