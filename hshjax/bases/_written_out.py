@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from hshjax._special import blockwise
 from hshjax._typing import Array, Float, Real
 
 FUNCTIONS = 256
@@ -23,6 +24,9 @@ AS_ROWS = 3
 
 COLUMNS = 4
 """Columns of design rows that one kernel writes: a vector register."""
+
+WHOLE, VALUES = 2**22, 2**18
+"""Values of design rows that are made at once, and about how many are in a block where there are more."""
 
 MODES = 8
 """The same of transposed rows."""
@@ -123,7 +127,7 @@ def by_channel(function: Callable, coefficients: Float[Array, "modes channels"],
 
 def one_by_one(coefficients: Float[Array, " modes"]) -> list[Array]:
     """Coefficients `(1,)` each. Indexing them would take longer than the rest to trace."""
-    return jax.lax.split(coefficients, (1,) * coefficients.size)
+    return list(jax.lax.split(coefficients, (1,) * coefficients.size))
 
 
 def total(terms: Iterable[Array]) -> Array:
@@ -132,7 +136,13 @@ def total(terms: Iterable[Array]) -> Array:
 
 def rows(basis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
     """y_1(w) ... y_K(w), a few columns at a time into their place: one kernel for all would pick each value."""
-    return kernel(lambda w: _grouped(_functions(basis, w), COLUMNS, 1), w)
+
+    def of_block(w):
+        return _grouped(_functions(basis, w), COLUMNS, 1)
+
+    # Every kernel runs through the whole result: a large one would come from memory each time, and be held twice.
+    whole = w.shape[0] * basis.count <= WHOLE
+    return kernel(of_block, w) if whole else blockwise(partial(kernel, of_block), VALUES // basis.count, w)
 
 
 def rows_by_mode(basis, w: Float[Array, "points 3"]) -> Float[Array, "modes points"]:

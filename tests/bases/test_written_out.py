@@ -35,6 +35,13 @@ def test_the_same_as_the_loops(name, order):
     close(_written_out.gradients(basis, c, w), _base._looped_gradients(basis, c, w))
 
 
+def test_long_results_come_in_blocks(monkeypatch):
+    monkeypatch.setattr(_written_out, "WHOLE", 100)
+    monkeypatch.setattr(_written_out, "VALUES", 60)
+    basis, w = HSH(2), directions(0, POINTS)
+    close(_written_out.rows(basis, w), _base._looped_rows(basis, w))
+
+
 @pytest.mark.parametrize("bilateral", [True, False])
 @pytest.mark.parametrize("single", [HSH(3), Zernike(4)], ids=str)
 def test_pairs_are_the_same_as_their_rows(single, bilateral):
