@@ -85,7 +85,7 @@ def asked() -> Iterator[Case]:
     for order in (8, 16):
         yield Case("by coefficients", "HSH", order)
         yield Case("by directions", "HSH", order)
-    for points in (20_000, 100_000):  # results below and above the size from which memory is asked of the system anew
+    for points in (20_000, 50_000):  # results below and above the size from which memory is asked of the system anew
         for order in (4, 8, 16):
             yield Case("rows", "HSH", order, points=points)
     yield Case("evaluate", "HSH", 16, points=20_000)

@@ -25,8 +25,11 @@ AS_ROWS = 3
 COLUMNS = 4
 """Columns of design rows that one kernel writes: a vector register."""
 
-WHOLE, VALUES = 2**22, 2**18
-"""Values of design rows that are made at once, and about how many are in a block where there are more."""
+WHOLE = 2**27
+"""Values of design rows times their number of columns, so many as are made at once: what all kernels run through."""
+
+VALUES = 2**18
+"""Values of a block of them, about, where there are more."""
 
 MODES = 8
 """The same of transposed rows."""
@@ -141,7 +144,7 @@ def rows(basis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
         return _grouped(_functions(basis, w), COLUMNS, 1)
 
     # Every kernel runs through the whole result: a large one would come from memory each time, and be held twice.
-    whole = w.shape[0] * basis.count <= WHOLE
+    whole = w.shape[0] * basis.count**2 <= WHOLE
     return kernel(of_block, w) if whole else blockwise(partial(kernel, of_block), VALUES // basis.count, w)
 
 
