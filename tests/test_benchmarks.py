@@ -29,7 +29,7 @@ def test_smoke(name, tmp_path):
         "JAX_COMPILATION_CACHE_DIR": jax.config.jax_compilation_cache_dir or str(tmp_path / "programs"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }
-    folder = ["--out", str(tmp_path)] if name in ("evaluators", "measured_material") else []
+    folder = ["--out", str(tmp_path)] if name == "evaluators" else []
     done = subprocess.run(
         [sys.executable, "-m", f"benchmarks.{name}", "--smoke", *folder], cwd=ROOT, capture_output=True, text=True,
         env=os.environ | cache,
