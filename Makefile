@@ -35,7 +35,7 @@ help: ## List the targets
 demo: $(VENV)/.installed ## Run configs/quickstart.toml; prints where its report is
 	$(PYTHON_IN_VENV) -m experiments configs/quickstart.toml
 
-peers: $(VENV)/.installed ## Make the environments of other renderers, in .peers (docs/run_experiments.md)
+peers: $(VENV)/.installed ## Make the environments of other programs, in .peers (docs/run_experiments.md)
 	$(PYTHON_IN_VENV) -m experiments.peers
 
 test: test-float64 test-float32 ## Run the suite in float64, then what computes in float32 (without the slow tests)
@@ -83,7 +83,7 @@ fuzz: $(VENV)/.installed-fuzz ## Readers under random damage for FUZZ_SECONDS [6
 lock: $(VENV)/.installed ## Resolve pyproject.toml into uv.lock anew
 	$(UV) lock --upgrade
 
-bench: $(VENV)/.installed ## Run the benchmarks (not part of the tests)
+bench: $(VENV)/.installed ## Run the benchmarks, half an hour (docs/performance.md); the tests run tiny ones
 	$(PYTHON_IN_VENV) -m benchmarks
 
 setup: $(VENV)/.installed ## Create the environment only

@@ -9,16 +9,19 @@ unknowns, where neither side is told so; it takes several minutes. scipy gets th
 Jacobian, and pays for neither its formation nor the compilation; `fit` forms its rows anew at every step.
 """
 
-import argparse
 import time
+
+from benchmarks._smoke import parser
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=100_000)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--together", action="store_true")
-    options = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--samples", type=int, default=100_000)
+    options.add_argument("--repeats", type=int, default=3)
+    options.add_argument("--together", action="store_true")
+    options = options.parse_args()
+    if options.smoke:
+        options.samples, options.repeats = 200, 1
 
     import jax
 
@@ -41,7 +44,7 @@ def main() -> None:
 
     rng = np.random.default_rng(0)
     n, channels = options.samples, 3
-    basis = IsotropicBasis(HSH(8))
+    basis = IsotropicBasis(HSH(2 if options.smoke else 8))
     wi, wo = (direction(np.arccos(rng.uniform(0.05, 1, n)), rng.uniform(0, 2 * np.pi, n)) for _ in range(2))
     truth = CookTorrance(np.array([0.2, 0.1, 0.05]), 0.3, 0.3)
     value = truth(wi, wo) * (1 + 0.01 * rng.standard_normal((n, channels)))

@@ -8,7 +8,6 @@ node, as scripts do that know nothing of grids; `numpy, by axes` takes sines of 
 is that of a fresh process which reads and projects once, libraries and compilation included.
 """
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -20,7 +19,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.project_scale import peak_bytes
+from benchmarks._serve import peak_bytes
+from benchmarks._smoke import parser
 from hshjax import GGX, HSH, IsotropicBasis, Lambert
 from hshjax.brdfs import AbstractBRDF
 from hshjax.fitting import Fit, project_by_moments
@@ -79,12 +79,15 @@ def timed(call: Callable[[], object]) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("file", nargs="?")
-    parser.add_argument("--order", type=int, default=8)
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--peak", action="store_true", help="read and project once, and print the peak of memory alone")
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("file", nargs="?")
+    arguments.add_argument("--order", type=int, default=8)
+    arguments.add_argument("--rounds", type=int, default=7)
+    arguments.add_argument("--peak", action="store_true", help="read and project once, print the peak of memory")
+    options = arguments.parse_args()
+    steps = (6, 6, 12) if options.smoke else (90, 90, 180)
+    if options.smoke:
+        options.order, options.rounds = 2, 1
     jax.config.update("jax_enable_x64", True)
     if options.peak:
         read_and_project(options.file, options.order)
@@ -93,7 +96,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = options.file or f"{folder}/material.binary"
         if options.file is None:
-            write_merl(path, material())
+            write_merl(path, material(), steps=steps)
         calls = {
             "numpy": lambda: with_numpy(path),
             "numpy, by axes": lambda: with_numpy_by_axes(path),

@@ -1,6 +1,6 @@
 """What the material of `hshjax.io.mitsuba` costs: loading, the first use (compilation), and values after that.
 
-    python -m benchmarks.mitsuba_material
+    python -m benchmarks.mitsuba_material [--smoke]
 
 Needs the extra `mitsuba` and LLVM. 2^18 pairs in `llvm_ad_rgb`, beside Mitsuba's own `roughconductor`; one in
 `scalar_rgb`. Dr.Jit's cache of compiled programs is a fresh one.
@@ -16,6 +16,7 @@ import numpy as np
 
 import hshjax
 import hshjax.io.mitsuba
+from benchmarks._smoke import parser
 from hshjax.io import save_model
 
 PAIRS = 2**18
@@ -41,12 +42,26 @@ def models() -> dict:
 
 
 def main() -> None:
+    smoke = parser(__doc__).parse_args().smoke
     if importlib.util.find_spec("mitsuba") is None:
         print('needs the extra: pip install ".[mitsuba]"')
         return
     with tempfile.TemporaryDirectory() as folder:
         os.environ["HOME"] = folder  # of Dr.Jit's cache, which outlives processes
-        measure(Path(folder) / "model.hshjax")
+        path = Path(folder) / "model.hshjax"
+        if smoke:
+            tiny(path)
+        else:
+            measure(path)
+
+
+def tiny(path: Path) -> None:
+    """One value of one model in the variant that needs no LLVM."""
+    import mitsuba as mi
+
+    hshjax.io.mitsuba.register()
+    save_model(path, hshjax.LinearBRDF(hshjax.IsotropicBasis(hshjax.HSH(1)), np.ones((4, 3))))
+    print(f"{scalar(mi, path):.0f} us a value")
 
 
 def measure(path: Path) -> None:

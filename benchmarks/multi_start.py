@@ -4,7 +4,6 @@ Guesses and `multi_start` from 16 starts, RGB, 2000 samples of 1 % noise a mater
 7 parameters each. All materials are one vmapped and compiled call. Prints one line of JSON for each model.
 """
 
-import argparse
 import json
 import os
 import time
@@ -14,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks._smoke import parser
 from experiments.recipes.recovery import half_angle_pairs
 from hshjax.brdfs import GGX, AbstractBRDF, CookTorrance, Lambert
 from hshjax.fitting import CosineWeighted, MultiStart, SampleMisfit, initial_guesses, multi_start
@@ -33,12 +33,14 @@ def random_materials(build, rng: np.random.Generator, materials: int, dtype: str
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--materials", type=int, default=100)
-    parser.add_argument("--starts", type=int, default=16)
-    parser.add_argument("--samples", type=int, default=2000)
-    parser.add_argument("--dtype", choices=("float64", "float32"), default="float64")
-    chosen = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--materials", type=int, default=100)
+    options.add_argument("--starts", type=int, default=16)
+    options.add_argument("--samples", type=int, default=2000)
+    options.add_argument("--dtype", choices=("float64", "float32"), default="float64")
+    chosen = options.parse_args()
+    if chosen.smoke:
+        chosen.materials, chosen.starts, chosen.samples = 1, 1, 20
     jax.config.update("jax_enable_x64", chosen.dtype == "float64")
 
     for name, build in MODELS.items():

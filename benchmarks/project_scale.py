@@ -5,11 +5,7 @@
 peak is that of the whole process: samples, libraries, compilation and the mapped part of files included.
 """
 
-import argparse
 import json
-import re
-import resource
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -18,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks._serve import peak_bytes
+from benchmarks._smoke import parser
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.fitting import SampleBlocks, project, project_blocks
 from hshjax.samples import Samples
@@ -59,22 +57,14 @@ def mapped_samples(n: int, folder: Path) -> SampleBlocks:
     return SampleBlocks(**{name: np.load(file, mmap_mode="r") for name, file in files.items()})
 
 
-def peak_bytes() -> int:
-    """Largest resident memory of this process so far."""
-    if sys.platform == "linux":
-        # getrusage would say how large the parent was when it started this process, if that is more.
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-        return 1024 * int(re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE)[1])
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak  # kilobytes, but on macOS
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=10_000_000)
-    parser.add_argument("--blocks", action="store_true", help="from files, block by block")
-    arguments = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--samples", type=int, default=10_000_000)
+    options.add_argument("--blocks", action="store_true", help="from files, block by block")
+    arguments = options.parse_args()
     n, basis = arguments.samples, IsotropicBasis(HSH(8))
+    if arguments.smoke:
+        n, basis = 500, IsotropicBasis(HSH(2))
     with tempfile.TemporaryDirectory() as folder:
         samples = mapped_samples(n, Path(folder)) if arguments.blocks else jax.block_until_ready(random_samples(n))
         before = peak_bytes()

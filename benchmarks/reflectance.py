@@ -12,7 +12,6 @@ channels, float32. The rows, one line of JSON each:
 `--mitsuba no` leaves the peer out. Its noise is stated beside its times: what it would take to have as little.
 """
 
-import argparse
 import itertools
 import json
 import os
@@ -29,6 +28,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import hshjax
+from benchmarks._smoke import parser
 from experiments import peers
 
 ORDER = 8
@@ -207,14 +207,16 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--size", type=int, default=256)
-    parser.add_argument("--spp", type=int, default=64)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--mitsuba", choices=("yes", "no"), default="yes")
-    parser.add_argument("--figure", type=Path, help="a picture of the times against the number of pixels")
-    parser.add_argument("--only", nargs=3, metavar=("SIZE", "KIND", "EYE"), help="one row of the last table")
-    chosen = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--size", type=int, default=256)
+    options.add_argument("--spp", type=int, default=64)
+    options.add_argument("--rounds", type=int, default=3)
+    options.add_argument("--mitsuba", choices=("yes", "no"), default="yes")
+    options.add_argument("--figure", type=Path, help="a picture of the times against the number of pixels")
+    options.add_argument("--only", nargs=3, metavar=("SIZE", "KIND", "EYE"), help="one row of the last table")
+    chosen = options.parse_args()
+    if chosen.smoke:
+        chosen.only = "4", "value", "far"
     if chosen.only:
         size, kind, eye = chosen.only
         print(json.dumps(of_pixels(int(size), kind, eye == "far")), flush=True)

@@ -6,7 +6,6 @@ A sphere of plastic that fills the image, grey, noise of 0.5 % of white; a proce
 pixels a side are four megapixels.
 """
 
-import argparse
 import json
 import resource
 import subprocess
@@ -20,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks._smoke import parser
 from hshjax import GGX, DirectionalLight, Lambert, reflect
 from hshjax.photographs import Photographs
 from hshjax.stereo import angular_errors, solve_calibrated
@@ -29,11 +29,13 @@ NOISE = 0.005
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sides", type=int, nargs="+", default=[256, 512, 1024, 2256], help="pixels along a side")
-    parser.add_argument("--lights", type=int, default=24)
-    parser.add_argument("--one", type=int, help="of this side, in this process; figures as JSON")
-    given = parser.parse_args()
+    options = parser(__doc__)
+    options.add_argument("--sides", type=int, nargs="+", default=[256, 512, 1024, 2256], help="pixels along a side")
+    options.add_argument("--lights", type=int, default=24)
+    options.add_argument("--one", type=int, help="of this side, in this process; figures as JSON")
+    given = options.parse_args()
+    if given.smoke:
+        given.one, given.lights = 8, 6
     if given.one is not None:
         print(json.dumps(solved(given.one, given.lights)))
         return

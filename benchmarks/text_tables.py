@@ -1,6 +1,6 @@
 """What reading samples from text costs: wall time, of ALTA and CSV files of growing length, and of writing CSV.
 
-    python -m benchmarks.text_tables
+    python -m benchmarks.text_tables [--smoke]
 
 Rows of seven numbers with all their digits. The shorter of two rounds; the first read of a process, which compiles, is
 not counted.
@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks._smoke import parser
 from hshjax.io import read_alta, read_csv_samples, write_csv_samples
 from hshjax.io._directions import polar
 from hshjax.samples import Samples
@@ -22,8 +23,9 @@ ROWS = (7_405, 100_000, 1_000_000)
 
 
 def main() -> None:
+    lengths = (20,) if parser(__doc__).parse_args().smoke else ROWS
     with tempfile.TemporaryDirectory() as folder:
-        for rows in ROWS:
+        for rows in lengths:
             _measure(Path(folder), rows)
 
 

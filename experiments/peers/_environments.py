@@ -12,7 +12,14 @@ from experiments.peers._errors import PeerUnavailableError
 
 ROOT = Path(__file__).parents[2]
 
-PEERS = {"mitsuba": ("mitsuba==3.9.1", "drjit==1.5.0", "numpy==2.4.6")}
+PEERS = {
+    "mitsuba": ("mitsuba==3.9.1", "drjit==1.5.0", "numpy==2.4.6"),
+    # sphericart-jax takes no newer jax. matplotlib is imported by zernipax.
+    "harmonics": (
+        "sphericart-jax==2.0.4", "zernipax==0.2.1", "jax==0.10.1", "jaxlib==0.10.1", "scipy==1.17.1", "numpy==2.4.6",
+        "matplotlib==3.11.2",
+    ),
+}  # fmt: skip
 """Requirements by name. Versions that Python 3.11 to 3.13 can have, all of them pinned."""
 
 FOLDER_VARIABLE = "HSHJAX_PEERS"

@@ -14,12 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from hshjax._special import RadialTables, azimuthal_fold, blockwise, radial_fold
+from hshjax._special import RadialTables, azimuthal_fold, blockwise, powers, radial_fold
 from hshjax._typing import Array, Float, Real
+from hshjax.bases import _written_out
 from hshjax.geometry import as_directions, common_dtype
 
 BLOCK = 1024
 """Points a block: three channels of order 16 then stay in the second-level cache."""
+
+ROWS_BLOCK = 4096
+"""Points a block of rows that are summed at once."""
 
 
 def checked_order(order: int) -> int:
@@ -145,9 +149,7 @@ def _block_rows(basis: AbstractBasis, exact: bool, w: Float[Array, "points 3"]) 
 
 def _block_sums(basis: AbstractBasis, exact: bool, coefficients: Array, w: Float[Array, "points 3"]) -> Array:
     tables, chart = basis.tables(), basis.chart(w)
-    channels = coefficients.shape[1]
-    padded = jnp.concatenate([coefficients, jnp.zeros((1, channels), coefficients.dtype)])
-    table = padded[jnp.asarray(basis.columns())]  # (orders, degrees, 2, channels)
+    table = _by_order(basis, coefficients)
 
     def visit_order(m, re, im, total):
         def visit_degree(j, p, parts):
@@ -156,17 +158,47 @@ def _block_sums(basis: AbstractBasis, exact: bool, coefficients: Array, w: Float
         parts = radial_fold(tables, m, chart.x, jnp.zeros((2, *total.shape), total.dtype), visit_degree, exact=exact)
         return total + parts[0] * re[None] + parts[1] * im[None]
 
-    total = jnp.zeros((channels, w.shape[0]), w.dtype)
+    total = jnp.zeros((coefficients.shape[1], w.shape[0]), w.dtype)
     return azimuthal_fold(chart.square, chart.odd, len(tables.start), total, visit_order).T
 
 
+def _by_order(basis: AbstractBasis, coefficients: Float[Array, "modes channels"]) -> Array:
+    """Coefficients by (m, j, cosine | sine), `(orders, degrees, 2, channels)`; 0 where there is no function."""
+    padded = jnp.concatenate([coefficients, jnp.zeros((1, coefficients.shape[1]), coefficients.dtype)])
+    return padded[jnp.asarray(basis.columns())]
+
+
 def _block_gradients(basis: AbstractBasis, exact: bool, coefficients: Array, w: Array) -> Array:
-    """∂/∂w of the sums, `(points, channels, 3)`, by three forward tangents through one loop."""
+    """∂/∂w of the sums, `(points, channels, 3)`.
 
-    def directional(e):
-        return jax.jvp(partial(_block_sums, basis, exact, coefficients), (w,), (jnp.broadcast_to(e, w.shape),))[1]
+    Radial functions depend on the radial variable alone: one tangent goes through their loop, three through the powers.
+    """
+    tables, table = basis.tables(), _by_order(basis, coefficients)
+    orders, channels, x = len(tables.start), coefficients.shape[1], basis.chart(w).x
 
-    return jax.vmap(directional, out_axes=-1)(jnp.eye(3, dtype=w.dtype))
+    def charted(w):
+        chart = basis.chart(w)
+        return chart.x, powers(chart.square, chart.odd, orders)
+
+    power = charted(w)[1]
+    d_x, d_power = jax.vmap(lambda axis: jax.jvp(charted, (w,), (jnp.broadcast_to(axis, w.shape),))[1])(
+        jnp.eye(3, dtype=w.dtype)
+    )
+
+    def visit_order(m, total):
+        def parts_at(x):
+            zeros = jnp.zeros((2, channels, w.shape[0]), w.dtype)
+            return radial_fold(
+                tables, m, x, zeros, lambda j, p, parts: parts + table[m, j][..., None] * p[None, None], exact=exact
+            )
+
+        parts, slopes = jax.jvp(parts_at, (x,), (jnp.ones_like(x),))
+        turned = parts[0, None] * d_power[:, 0, m, None] + parts[1, None] * d_power[:, 1, m, None]
+        run = slopes[0] * power[0, m, None] + slopes[1] * power[1, m, None]
+        return total + turned + d_x[:, None] * run[None]
+
+    total = jax.lax.fori_loop(0, orders, visit_order, jnp.zeros((3, channels, w.shape[0]), w.dtype))
+    return jnp.moveaxis(total, (0, 1, 2), (2, 1, 0))
 
 
 def differentiable(block_function):
@@ -190,15 +222,54 @@ _rows_of_block = differentiable(_block_rows)
 _gradients_of_block = differentiable(_block_gradients)
 
 
-# Compiled once for a basis and a shape, also where a user calls without jit: the loops are new functions at every call.
-@partial(jax.jit, static_argnums=0)
-def _rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
+def written_out_if(short, written_out, loops):
+    """`written_out(basis, *arrays)` where `short` says so, else `loops`, of which derivatives are taken in any case."""
+
+    @partial(jax.custom_jvp, nondiff_argnums=(0,))
+    def run(basis, *args):
+        return (written_out if short(basis, *args) else loops)(basis, *args)
+
+    @run.defjvp
+    def _(basis, primals, tangents):
+        return jax.jvp(partial(loops, basis), primals, tangents)
+
+    return run
+
+
+def _looped_rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
     return blockwise(partial(_rows_of_block, basis), BLOCK, w)
+
+
+def _looped_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
+    return blockwise(partial(_block_sums, basis, True, coefficients), BLOCK, w)
+
+
+def _looped_gradients(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
+    return blockwise(partial(_gradients_of_block, basis, coefficients), BLOCK, w)
+
+
+def _short(basis: AbstractBasis, coefficients: Array, w: Array) -> bool:
+    return _written_out.short(basis.count, coefficients.shape[1])
+
+
+def _short_rows(basis: AbstractBasis, w: Array) -> bool:
+    return _written_out.short(basis.count, _written_out.AS_ROWS)
+
+
+_quick_rows = written_out_if(_short_rows, _written_out.rows, _looped_rows)
+_quick_rows_by_mode = written_out_if(
+    _short_rows, _written_out.rows_by_mode, lambda basis, w: _rows_of_block(basis, w).T
+)
+_quick_gradients = written_out_if(_short, _written_out.gradients, _looped_gradients)
+
+# Compiled once for a basis and a shape, also where a user calls without jit: the loops are new functions at every call.
+_rows = jax.jit(_quick_rows, static_argnums=0)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    return blockwise(partial(_block_sums, basis, True, coefficients), BLOCK, w)
+    sums = _written_out.sums if _short(basis, coefficients, w) else _looped_sums
+    return sums(basis, coefficients, w)
 
 
 @partial(_differentiable_sums.defjvp, symbolic_zeros=True)
@@ -210,10 +281,10 @@ def _(basis, primals, tangents):
     tangent = jnp.zeros_like(value)
     if not isinstance(d_coefficients, SymbolicZero):
         # Recomputed, not stored, for the transpose: the rows would be the largest array of the program.
-        product = jax.checkpoint(lambda d, part: matmul(_rows_of_block(basis, part), d))
-        tangent += blockwise(partial(product, d_coefficients), BLOCK, w)
+        product = jax.checkpoint(lambda d, part: matmul(_quick_rows_by_mode(basis, part).T, d))
+        tangent += blockwise(partial(product, d_coefficients), ROWS_BLOCK, w)
     if not isinstance(d_w, SymbolicZero):
-        gradient = blockwise(partial(_gradients_of_block, basis, coefficients), BLOCK, w)
+        gradient = _quick_gradients(basis, coefficients, w)
         tangent += jnp.sum(gradient * d_w[:, None, :], axis=-1)
     return value, tangent
 

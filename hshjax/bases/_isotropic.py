@@ -1,6 +1,6 @@
 """Reciprocal functions of an isotropic material: dependence on φ_i - φ_o only."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -9,8 +9,12 @@ import numpy as np
 
 from hshjax._special import powers, radial_rows
 from hshjax._typing import Array
+from hshjax.bases import _written_out
 from hshjax.bases._base import AbstractBasis, Chart, matmul
 from hshjax.bases._pairs import AbstractProductBasis, Entries
+
+PAIR_FUNCTIONS = 512
+"""As many coefficients are written out at most: three channels of order 8."""
 
 
 class IsotropicBasis(AbstractProductBasis):
@@ -77,6 +81,15 @@ class IsotropicBasis(AbstractProductBasis):
         # Rows of a block stay in the cache, and one product with them takes less time than one for every order.
         return matmul(coefficients.T, self.block_rows(wi, wo).T).T
 
+    def written_out_sums(self, coefficients, wi, wo):
+        if not _written_out.short(self.count, coefficients.shape[1], PAIR_FUNCTIONS):
+            return None
+        n = self.table()
+        # Twice where both indices are one: a matrix that is symmetric but for the sines holds that entry once.
+        norm = jnp.asarray(n.norm * (1 + (n.j == n.k)), coefficients.dtype)
+        found = _written_out.kernel(partial(_written_out_sums, self), norm[:, None] * coefficients, wi, wo)
+        return jnp.stack(found, axis=-1)
+
     def __hash__(self) -> int:
         return hash((type(self), self.basis, self.bilateral))
 
@@ -141,3 +154,28 @@ def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:
     swapped = jnp.asarray(np.where(n.sine, -1, 1), wi.dtype)[:, None] * ri[n.m, n.k] * ro[n.m, n.j]
     radial = jnp.asarray(n.norm, wi.dtype)[:, None] * (ri[n.m, n.j] * ro[n.m, n.k] + swapped)
     return (azimuth[n.sine.astype(np.int32), n.m] * radial).T
+
+
+def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> list[Array]:
+    """Of every channel `(pairs,)`: Σ_m Σ_k R_k(o) Σ_j A_jk R_j(i) times cosine or sine, from coefficients times N."""
+    n, basis = pairs.table(), pairs.basis
+    chart_i, chart_o, orders = basis.chart(wi), basis.chart(wo), len(basis.tables().start)
+
+    def of_channel(coefficients, x_i, x_o, square, odd):
+        even, one, terms = _written_out.even_powers(square, orders), _written_out.one_by_one(coefficients), []
+        for m in range(orders):
+            i, o = (_written_out.radial(basis, x, m) for x in (x_i, x_o))
+            power = _written_out.times(even[m // 2], odd if m % 2 else None)
+            for sine in (False, True):
+                inner: dict[int, list[Array]] = {}
+                for column in np.flatnonzero((n.m == m) & (n.sine == sine)):
+                    j, k, value = int(n.j[column]), int(n.k[column]), one[column]
+                    inner.setdefault(k, []).append(value * i[j])
+                    if j != k:
+                        inner.setdefault(j, []).append((-value if sine else value) * i[k])
+                if inner:
+                    series = _written_out.total(o[k] * _written_out.total(row) for k, row in inner.items())
+                    terms.append(series if power is None else series * power[int(sine)])
+        return _written_out.total(terms)
+
+    return _written_out.by_channel(of_channel, coefficients, chart_i.x, chart_o.x, *_difference_chart(chart_i, chart_o))

@@ -247,7 +247,7 @@ def test_program_does_not_grow_with_the_order(name, verb):
         jaxpr = jax.make_jaxpr(VERBS[verb](basis))(*arguments)
         return [equation.primitive.name for equation in equations(jaxpr.jaxpr)]
 
-    assert program(32) == program(8)
+    assert program(32) == program(16)  # shorter series are written out, see test_written_out.py
 
 
 @pytest.mark.parametrize("verb", VERBS)
