@@ -49,10 +49,10 @@ def test_a_folder_is_fitted_reported_and_gone_on_with(folder, tmp_path):
     assert page.count("data:image/png;base64,") == 2
     assert "red &amp; &lt;i&gt;.x" in page
     assert "<i>" not in page
-    # The figures of a single fit, and two keys more.
+    # The figures of a single fit, and three keys more.
     assert run("fit", folder / "second", *SMALL, "--out", tmp_path / "one").exit_code == 0
     one, two = (json.loads((place / "metrics.json").read_text()) for place in (tmp_path / "one", out / "second"))
-    assert two.keys() - one.keys() == {"summary", "source"}
+    assert two.keys() - one.keys() == {"summary", "source", "files"}
     assert {key: two[key] for key in one} == one
     assert (tmp_path / "one" / "model.hshjax").read_bytes() == (out / "second" / "model.hshjax").read_bytes()
     refused = run("fit", folder, *SMALL, "--norm", "A", "--out", out)
