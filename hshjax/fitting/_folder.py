@@ -81,8 +81,8 @@ def fit_folder(
 
     A result that is there and of the same options, version of hshjax and content of the file (SHA-256) is not made
     again: an interrupted call goes on where it was. `out` also gets summary.csv and summary.json, at once and whatever
-    ends the call. A file that cannot be read or fitted does not stop the others; it is in the summary, as are files that
-    are no materials.
+    ends the call. A file that cannot be read or fitted does not stop the others; it is in the summary, as is what is no
+    material.
 
     - `recursive`: folders within, too; results keep the tree. - `negatives`: as `read_material` takes it.
     - `devices`: materials go round over them. - `force`: what is there and another result is fitted anew and replaced.
