@@ -7,12 +7,14 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from hshjax.brdfs import OrenNayar
 from hshjax.cli import app
 from hshjax.cli._devices import several_devices, threads_on_devices
+from hshjax.cli._spheres import _exposure
 from hshjax.io import save_model
 from tests.io import text_formats
 
@@ -49,10 +51,10 @@ def test_a_folder_is_fitted_reported_and_gone_on_with(folder, tmp_path):
     assert page.count("data:image/png;base64,") == 2
     assert "red &amp; &lt;i&gt;.x" in page
     assert "<i>" not in page
-    # The figures of a single fit, and two keys more.
+    # The figures of a single fit, and three keys more.
     assert run("fit", folder / "second", *SMALL, "--out", tmp_path / "one").exit_code == 0
     one, two = (json.loads((place / "metrics.json").read_text()) for place in (tmp_path / "one", out / "second"))
-    assert two.keys() - one.keys() == {"summary", "source"}
+    assert two.keys() - one.keys() == {"summary", "source", "files"}
     assert {key: two[key] for key in one} == one
     assert (tmp_path / "one" / "model.hshjax").read_bytes() == (out / "second" / "model.hshjax").read_bytes()
     refused = run("fit", folder, *SMALL, "--norm", "A", "--out", out)
@@ -151,3 +153,13 @@ def test_devices_are_counted(monkeypatch):
             check=False,
         )  # fmt: skip
         assert done.stdout.strip() == str(count), done.stderr
+
+
+@pytest.mark.parametrize(("pixels", "factor"), [(0, 1.0), (1, 0.3), (999, 0.9)])
+def test_dark_spheres_are_shown_and_no_reason_to_lose_a_fit(pixels, factor):
+    """A highlight on black is exposed by its own brightness."""
+    radiance = np.zeros((25, 40, 3))
+    radiance.reshape(-1, 3)[1 : 1 + pixels, 1] = 1.0
+    radiance[0, 1] *= 3
+    radiance[0, 0] = np.nan  # beside the sphere
+    assert _exposure(radiance) == pytest.approx(factor)

@@ -19,8 +19,21 @@ def save_spheres(path: Path, *brdfs: Any) -> None:
     from hshjax.io._images import write_png
 
     images = [displayable(plotting.sphere(brdf)) for brdf in brdfs]
-    shown = plotting.display(np.concatenate(images, axis=1), plotting.exposure(images[0]))
+    shown = plotting.display(np.concatenate(images, axis=1), _exposure(images[0]))
     write_png(path, np.rint(255 * shown).astype(np.uint8))
+
+
+def _exposure(image: Any) -> float:
+    """`plotting.exposure`; by the brightest pixel where fewer than one in twenty have light, 1 for a black sphere: a
+    picture is no reason to lose a fit."""
+    import numpy as np
+
+    from hshjax import plotting
+
+    for quantile in (0.95, 1.0):
+        if np.quantile(image[~np.isnan(image).any(axis=-1)].max(axis=-1), quantile) > 0:
+            return plotting.exposure(image, quantile)
+    return 1.0
 
 
 def displayable(image: Any) -> Any:

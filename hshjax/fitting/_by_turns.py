@@ -15,6 +15,15 @@ Item = TypeVar("Item")
 Found = TypeVar("Found")
 
 
+def check_devices(devices: Sequence[Any] | None) -> None:
+    """ValueError where there is none, or something else: a number, say."""
+    if devices is not None and not devices:
+        raise ValueError("work is done on one device or more, got none")
+    for device in devices or ():
+        if not isinstance(device, jax.Device):
+            raise ValueError(f"devices must be those of jax, as jax.devices() gives them, got {device!r}")
+
+
 def by_turns(
     work: Callable[[Item], Found], items: Sequence[Item], devices: Sequence[Any] | None = None
 ) -> Generator[tuple[int, Found], None, None]:
@@ -27,8 +36,7 @@ def by_turns(
     What `work` raises is raised here. Then, on Ctrl-C, and where the caller stops early, no further item is begun, and
     those that other threads are at are waited for: a thread in a compiled program cannot be stopped.
     """
-    if devices is not None and not devices:
-        raise ValueError("work is done on one device or more, got none")
+    check_devices(devices)
     if devices is None or len(devices) == 1:
         for k, item in enumerate(items):
             with nullcontext() if devices is None else jax.default_device(devices[0]):
@@ -43,6 +51,12 @@ def by_turns(
     wide = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
 
     def serve(device: Any) -> None:
+        try:
+            serve_on(device)
+        except BaseException as error:  # or it would be waited for without end
+            done.put((-1, None, error))
+
+    def serve_on(device: Any) -> None:
         with jax.default_device(device), jax.enable_x64(wide):  # which are each thread's own
             while not stop.is_set():
                 try:

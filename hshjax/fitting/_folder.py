@@ -12,7 +12,7 @@ import jax
 
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import AbstractBRDF
-from hshjax.fitting._by_turns import by_turns
+from hshjax.fitting._by_turns import by_turns, check_devices
 from hshjax.fitting._compare import Comparison, compare
 from hshjax.fitting._folder_plan import Plan, planned
 from hshjax.fitting._folder_results import digest, settled, sweep, write_result
@@ -80,9 +80,9 @@ def fit_folder(
     metrics.json, where NAME is that of the file, suffix included.
 
     A result that is there and of the same options, version of hshjax and content of the file (SHA-256) is not made
-    again: an interrupted call goes on where it was. `out` also gets summary.csv and summary.json, whatever ends the
-    call. A file that cannot be read or fitted does not stop the others; it is in the summary, as are files that are no
-    materials.
+    again: an interrupted call goes on where it was. `out` also gets summary.csv and summary.json, at once and whatever
+    ends the call. A file that cannot be read or fitted does not stop the others; it is in the summary, as is what is no
+    material.
 
     - `recursive`: folders within, too; results keep the tree. - `negatives`: as `read_material` takes it.
     - `devices`: materials go round over them. - `force`: what is there and another result is fitted anew and replaced.
@@ -94,6 +94,7 @@ def fit_folder(
     if model not in get_args(MaterialModel):
         raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
     check_negatives(negatives)
+    check_devices(devices)
     source, target = Path(folder), Path(out)
     settings = _bound(model, settings)
     said = {name: str(value) if name == "basis" else value for name, value in settings.items()}
@@ -107,11 +108,16 @@ def fit_folder(
         _few_programs()
         return _fitted(listed, target / listed.name, options, negatives, settings, finish)
 
+    def told() -> dict[str, Any]:
+        content = summary(source, options, [rows[name] for name in sorted(rows)])
+        write_summary(target, content)
+        return content
+
+    told()  # before hours of work: where nothing can be written, this fails, and who is killed has said what is missing
     try:
         _fit_all(one, plan, rows, devices, watch)
     finally:
-        content = summary(source, options, [rows[name] for name in sorted(rows)])
-        write_summary(target, content)
+        content = told()
     return FolderFit(tuple(content["materials"]), content)
 
 

@@ -29,6 +29,9 @@ def planned(folder: Path, out: Path, settings: dict[str, Any], *, recursive: boo
     listed = list_materials(folder, recursive=recursive, without=out)
     plan = Plan([], {})
     others = [found] if (found := foreign_summary(out)) else []
+    for name in (TABLE, TOTALS, REPORT):
+        if (out / name).is_dir():
+            raise ValueError(f"{out / name} is a folder, where a file of that name is to be written")
     for one in listed:
         if one.kind != "material":
             status = "failed" if one.kind == "unreadable" else "skipped"
@@ -41,8 +44,10 @@ def planned(folder: Path, out: Path, settings: dict[str, Any], *, recursive: boo
         place = out / one.name
         if top.is_relative_to(end / one.name):
             raise ValueError(f"the result of {one.name} would replace what is read: results go into another folder")
-        if place.exists() and not place.is_dir():
-            raise ValueError(f"{place} is a file: the results of a folder go into another folder")
+        for above in (place, *place.parents[: one.name.count("/")]):
+            if (above.exists() or above.is_symlink()) and not above.is_dir():
+                what = "a file" if above.exists() else "a link to nothing"
+                raise ValueError(f"{above} is {what}: the results of a folder go into another folder")
         before, other = _before(place, settings, one.path)
         if other:
             others.append(other)

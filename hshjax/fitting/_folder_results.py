@@ -7,6 +7,7 @@ import math
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +25,15 @@ METRICS = "metrics.json"
 ABANDONED = 3600.0
 """Seconds after which what is written beside its place is nobody's: writing a result takes no such time."""
 
-SOURCE, SUMMARY = "source", "summary"
-"""Its keys beside the figures: what it is a result of, and its line of the summary."""
+SOURCE, SUMMARY, FILES = "source", "summary", "files"
+"""Its keys beside the figures: what it is a result of, its line of the summary, and the SHA-256 of the other files."""
 
 
 def settled(options: dict[str, Any]) -> dict[str, Any]:
     """Everything a result depends on beside the file, as JSON gives it back."""
     dtype = "float64" if jax.config.jax_enable_x64 else "float32"  # pyright: ignore[reportAttributeAccessIssue]
     version = importlib.metadata.version("hshjax")
-    return json.loads(json.dumps({"options": options | {"dtype": dtype}, "version": version}))
+    return json.loads(json.dumps(plain({"options": options | {"dtype": dtype}, "version": version})))
 
 
 def digest(path: Path) -> str:
@@ -44,7 +45,8 @@ def digest(path: Path) -> str:
 def finished(place: Path) -> dict[str, Any] | None:
     """The metrics of a finished result; None where there is nothing.
 
-    **Raises:** ValueError where something else lies there.
+    **Raises:** ValueError where something else lies there, or the model is gone or not what was written: a file may be
+    empty after a power failure.
     """
     if not place.exists() or (place.is_dir() and not any(place.iterdir())):
         return None
@@ -52,6 +54,7 @@ def finished(place: Path) -> dict[str, Any] | None:
     try:
         found = json.loads((place / METRICS).read_text(encoding="utf-8"))
         whole = {"options", "version", "sha256"} <= found[SOURCE].keys() and "seconds" in found[SUMMARY]
+        whole = whole and found[FILES][MODEL] == digest(place / MODEL)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):  # not ours, whatever it is
         whole = False
     if not whole:
@@ -89,21 +92,31 @@ def write_result(
     with replacing_folder(place, last=METRICS) as beside:
         save_model(beside / MODEL, model)
         metrics = figures(beside) | {SUMMARY: line, SOURCE: source}
+        metrics |= {FILES: {file.name: digest(file) for file in sorted(beside.iterdir()) if file.is_file()}}
         text = json.dumps(plain(metrics), indent=1, ensure_ascii=False, allow_nan=False)
         (beside / METRICS).write_text(text + "\n", encoding="utf-8")
+        for name in _written(place) - metrics[FILES].keys():  # a picture of another fit, beside this one
+            (place / name).unlink(missing_ok=True)
+
+
+def _written(place: Path) -> set[str]:
+    """Names of the files of the result that is there, as far as its metrics say."""
+    try:
+        names = json.loads((place / METRICS).read_text(encoding="utf-8"))[FILES].keys()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):  # none, or not ours
+        return set()
+    return {name for name in names if name == Path(name).name and (place / name).is_file()}
 
 
 def sweep(out: Path) -> None:
     """Removes what processes that were killed have left half-written, long ago: another one may be at work."""
     for path in out.rglob(HALF_WRITTEN):
-        try:
-            old = time.time() - path.stat().st_mtime > ABANDONED
-        except FileNotFoundError:  # by now it has its name
-            continue
-        if old and path.is_dir():
-            shutil.rmtree(path)
-        elif old:
-            path.unlink()
+        with suppress(FileNotFoundError):  # by now it has its name, or another call has removed it
+            old = time.time() - path.lstat().st_mtime > ABANDONED
+            if old and path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            elif old:
+                path.unlink()
 
 
 def numbers_of(model: AbstractBRDF) -> int:

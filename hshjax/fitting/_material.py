@@ -12,6 +12,7 @@ from hshjax.bases import HSH, AbstractPairBasis, HelmholtzBasis, IsotropicBasis,
 from hshjax.brdfs import GGX, AbstractBRDF, CookTorrance, ExpBRDF, HalfVectorTable, Lambert
 from hshjax.brdfs._isotropy import is_isotropic
 from hshjax.brdfs._known import known, table_samples
+from hshjax.fitting._checks import check_values
 from hshjax.fitting._compact import CompactFit, fit_compact, half_vector_samples
 from hshjax.fitting._compact_posterior import CompactPosterior
 from hshjax.fitting._fit import fit
@@ -19,6 +20,7 @@ from hshjax.fitting._guess import initial_guesses
 from hshjax.fitting._infer_compact import infer_compact
 from hshjax.fitting._mappings import CosineWeighted
 from hshjax.fitting._multi_start import multi_start
+from hshjax.fitting._norms import named_norm
 from hshjax.fitting._positive_start import positive_start
 from hshjax.fitting._project import SEARCHED, WHOLE, project
 from hshjax.fitting._project_by_moments import project_by_moments
@@ -109,6 +111,7 @@ def fit_material(
     if model == "inferred":
         posterior = infer_compact(samples, coefficients)
         return MaterialFit(posterior.model, samples, posterior, notes)
+    check_values(samples, named_norm("D"))  # a norm has no say in what is finite
     samples = samples.cleared()
     if model == "exp":
         return _exponential(pairs, samples, ridge, max_steps, begin)._replace(notes=notes)

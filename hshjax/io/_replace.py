@@ -42,15 +42,30 @@ def replacing_folder(path: str | os.PathLike, *, last: str | None = None) -> Ite
     beside.mkdir()
     try:
         yield beside
-        if out.is_dir() and any(out.iterdir()):
+        if not _renamed(beside, out):
             if last is not None:
                 (out / last).unlink(missing_ok=True)
             for file in sorted(beside.iterdir(), key=lambda file: (file.name == last, file.name)):
                 os.replace(file, out / file.name)
-        else:
-            os.replace(beside, out)
     finally:
         shutil.rmtree(beside, ignore_errors=not beside.exists())
+
+
+def _renamed(folder: Path, out: Path) -> bool:
+    """Whether a folder got its name: not where there are files in one of that name."""
+    if _filled(out):
+        return False
+    try:
+        os.replace(folder, out)
+    except OSError:
+        if _filled(out):  # by now, by another process
+            return False
+        raise
+    return True
+
+
+def _filled(folder: Path) -> bool:
+    return folder.is_dir() and any(folder.iterdir())
 
 
 def _beside(path: Path) -> Path:

@@ -76,8 +76,8 @@ def _passed_over(path: Path, recursive: bool, own: Path | None) -> str:
         if not recursive:
             return "a folder: --recursive, or recursive=True, looks into it"
         return "a link to a folder" if path.is_symlink() else ""
-    # A pipe would be waited for, and a broken link says itself what it is when it is opened.
-    return "" if path.is_file() or path.is_symlink() else "neither file nor folder"
+    # A pipe would be waited for, linked to or not; a broken link says itself what it is when it is opened.
+    return "" if path.is_file() or not path.exists() else "neither file nor folder"
 
 
 def _file(path: Path, name: str) -> Listed:

@@ -59,9 +59,21 @@ def test_the_threads_of_linear_algebra_are_as_many_as_before():
     assert limits() == before
 
 
-def test_no_device_is_an_error():
-    with pytest.raises(ValueError, match="one device or more, got none"):
-        list(by_turns(len, [], []))
+@pytest.mark.parametrize(
+    ("devices", "message"), [([], "one device or more, got none"), ([CPU, 1], "those of jax, .* got 1")]
+)
+def test_what_are_no_devices_is_an_error(devices, message):
+    with pytest.raises(ValueError, match=message):
+        list(by_turns(len, ["a", "b"], devices))
+
+
+def test_a_thread_that_cannot_begin_is_not_waited_for(monkeypatch):
+    def none(device):
+        raise RuntimeError("lost")
+
+    monkeypatch.setattr(jax, "default_device", none)
+    with pytest.raises(RuntimeError, match="lost"):
+        list(by_turns(len, ["a", "b"], [CPU] * 2))
 
 
 def test_devices_take_turns_and_agree():

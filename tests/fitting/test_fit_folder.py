@@ -14,6 +14,7 @@ import pytest
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import OrenNayar
 from hshjax.fitting import compare, fit_folder, fit_material
+from hshjax.fitting._folder_results import settled, sweep
 from hshjax.io import load_model, read_material, save_model
 from tests.helpers import DTYPE, X64, assert_close
 from tests.io import text_formats
@@ -227,6 +228,90 @@ def test_what_would_be_lost_or_makes_no_sense_is_refused(folder, tmp_path):
     (tmp_path / "empty" / "README").write_text("nothing")
     with pytest.raises(ValueError, match="1 entries, the first is README: no material"):
         fit_folder(tmp_path / "empty", tmp_path / "out")
+
+
+@pytest.mark.parametrize("content", [None, b"", b"other"])
+def test_a_result_without_its_model_is_not_taken_for_done(folder, tmp_path, content):
+    out = tmp_path / "out"
+    fit_folder(folder, out, **SMALL)
+    model = out / "red" / "model.hshjax"
+    whole = model.read_bytes()
+    model.unlink()
+    if content is not None:
+        model.write_bytes(content)
+    with pytest.raises(ValueError, match="red is there, and no finished result"):
+        fit_folder(folder, out, **SMALL)
+    before = stamps(out)
+    assert fit_folder(folder, out, **SMALL, force=True).counts["done"] == 2
+    assert len(model.read_bytes()) == len(whole)
+    assert stamps(out)["grey"] == before["grey"]
+
+
+def test_files_of_another_fit_do_not_stay_beside_this_one(folder, tmp_path):
+    def pictured(beside, item):
+        (beside / "picture").write_text("of norm D")
+        return {}
+
+    out = tmp_path / "out"
+    fit_folder(folder, out, **SMALL, finish=pictured)
+    (out / "red" / "notes").write_text("mine")
+    metrics = json.loads((out / "grey" / "metrics.json").read_text())
+    metrics["files"] |= {"../red/notes": ""}
+    (out / "grey" / "metrics.json").write_text(json.dumps(metrics))
+    fit_folder(folder, out, **SMALL, norm="A", force=True)
+    for name, more in (("red", {"notes"}), ("grey", set())):
+        assert {path.name for path in (out / name).iterdir()} == {"model.hshjax", "metrics.json"} | more
+
+
+def test_the_summary_is_there_before_the_first_fit(folder, tmp_path, monkeypatch):
+    out, begun = tmp_path / "out", []
+
+    def finish(beside, item):
+        content = json.loads((out / "summary.json").read_text())
+        begun.append((item.name, content["counts"]["missing"]))
+        return {}
+
+    fit_folder(folder, out, **SMALL, finish=finish)
+    assert begun == [("grey", 3), ("red", 3)]
+
+    def full(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("hshjax.fitting._folder.write_summary", full)
+    with pytest.raises(OSError, match="no space left"):
+        fit_folder(folder, tmp_path / "other", **SMALL, finish=finish)
+    assert len(begun) == 2
+
+
+def test_numbers_of_numpy_and_jax_are_settings(folder, tmp_path):
+    first = fit_folder(folder, tmp_path / "out", **SMALL, ridge=0.25, coefficients=7)
+    again = fit_folder(folder, tmp_path / "out", **SMALL, ridge=np.float64(0.25), coefficients=np.int64(7).item())
+    assert again.summary == first.summary
+    assert settled({"a": np.int64(7), "b": jnp.asarray(0.25), "c": (np.float32(0.5),)})["options"] == {
+        "a": 7, "b": 0.25, "c": [0.5], "dtype": np.dtype(DTYPE).name,
+    }  # fmt: skip
+
+
+def test_what_lies_where_results_go_is_told_before_the_first_fit(folder, tmp_path):
+    (folder / "sub").mkdir()
+    shutil.move(folder / "red", folder / "sub" / "red")
+    for name in ("a", "b", "c", "d"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "a" / "sub").write_text("mine")
+    (tmp_path / "b" / "grey").symlink_to("nowhere")
+    (tmp_path / "c" / "report.html").mkdir()
+    (tmp_path / "d" / ".hshjax-a.partial").symlink_to(folder)
+    for name, message in (("a", "sub is a file"), ("b", "grey is a link to nothing"), ("c", "report.html is a folder")):
+        with pytest.raises(ValueError, match=message):
+            fit_folder(folder, tmp_path / name, **SMALL, recursive=True, force=True)
+        assert len(list((tmp_path / name).iterdir())) == 1
+    with pytest.raises(ValueError, match="devices must be those of jax"):
+        fit_folder(folder, tmp_path / "e", **SMALL, devices=[0, 1])
+    assert not (tmp_path / "e").exists()
+    os.utime(tmp_path / "d" / ".hshjax-a.partial", (0, 0), follow_symlinks=False)
+    sweep(tmp_path / "d")
+    assert not list((tmp_path / "d").iterdir())
+    assert (folder / "grey").exists()
 
 
 def test_another_model_is_refused_before_anything_is_read(folder, tmp_path, unchecked):

@@ -58,3 +58,12 @@ def test_light_from_one_azimuth_says_nothing_of_others():
     found = fit_material(Samples.scattered(wi, samples.wo, samples.value), "linear", basis=IsotropicBasis(HSH(2)))
     assert found.model.basis.isotropic
     assert found.notes == ("light comes from one azimuth: fitted as an isotropic material",)
+
+
+@pytest.mark.parametrize("model", ["exp", "ggx", "cook-torrance"])
+@pytest.mark.parametrize("value", [np.inf, np.nan])
+def test_values_that_are_not_finite_are_refused_by_every_model(model, value):
+    samples = scattered(40)
+    bad = Samples.scattered(samples.wi, samples.wo, samples.value.at[7].set(value))
+    with pytest.raises(ValueError, match=r"1 of 40 .* hold NaN or infinite values \(the first is sample 7\)"):
+        fit_material(bad, model)

@@ -26,6 +26,7 @@ def folder(tmp_path):
     (top / "linked.csv").symlink_to("b/x.csv")
     (top / "again").symlink_to("b")
     os.mkfifo(top / "pipe")
+    (top / "piped.csv").symlink_to("pipe")
     return top
 
 
@@ -45,6 +46,7 @@ def test_everything_is_listed_with_what_it_is(folder):
         "leather": ("material", "ALTA text"),
         "linked.csv": ("material", "CSV with named columns"),
         "pipe": ("other", "neither file nor folder"),
+        "piped.csv": ("other", "neither file nor folder"),
     }
     assert all((one.kind == "material") != bool(one.reason) for one in listed)
 

@@ -66,3 +66,21 @@ def test_the_file_that_says_finished_comes_last(tmp_path, monkeypatch):
         assert (out / "m").exists() == (after == 3)
     assert {path.name: path.read_text() for path in out.iterdir()} == dict.fromkeys("amz", "new")
     assert not list(tmp_path.glob(".*"))
+
+
+def test_a_folder_that_another_process_makes_meanwhile_is_filled(tmp_path, monkeypatch):
+    out, replace = tmp_path / "out", os.replace
+
+    def raced(source, target):
+        if target == out:
+            out.mkdir()
+            (out / "a").write_text("theirs")
+            (out / "m").write_text("theirs")
+        replace(source, target)
+
+    monkeypatch.setattr("hshjax.io._replace.os.replace", raced)
+    with replacing_folder(out, last="m") as beside:
+        (beside / "a").write_text("new")
+        (beside / "m").write_text("new")
+    assert {path.name: path.read_text() for path in out.iterdir()} == {"a": "new", "m": "new"}
+    assert not list(tmp_path.glob(".*"))
