@@ -110,9 +110,8 @@ def test_settings_are_checked(settings, message):
         project(BASIS, samples(), **settings)
 
 
-def test_an_unknown_prior_is_refused():
+def test_an_unknown_prior_is_refused(unchecked):
     from hshjax.fitting._prior import penalty
 
-    # Past the run-time check of the annotation, which speaks first while the tests run.
     with pytest.raises(ValueError, match=r'must be None, "spectral" or an array \(modes,\), got \'smooth\''):
-        getattr(penalty, "__wrapped__", penalty)(BASIS, 1.0, "smooth")
+        penalty(BASIS, 1.0, "smooth")
