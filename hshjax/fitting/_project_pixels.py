@@ -135,11 +135,13 @@ def project_pixels(
 
         processes.put_together(json.dumps([run, begin]).encode(), create)
         results.open(shape)
+        missing = begin > 0
         for tile in tiles.read(lambda number: number >= begin - 1 and number % count == index):
             values = finite_values(tile, dtype, design.weight > 0)
             coefficients, sums = fit_pixels(design, values, own)
             if tile.number < begin:  # it is done
                 results.check(tile, coefficients, design.condition)
+                missing = False
                 continue
             results.write(tile, coefficients)
             done = int(state["numbers"][1]) + len(coefficients)
@@ -150,6 +152,8 @@ def project_pixels(
             if saved is not None and saved.due:
                 results.flush()
                 saved.save(state)
+        if missing:
+            raise TileError(begin - 1, f"was done, and does not come any more: {results.anew}")
         if saved is not None:
             results.flush()
             saved.save(state)

@@ -80,6 +80,11 @@ class TileResults:
         if dtype is not None and not jnp.issubdtype(dtype, jnp.floating):
             raise ValueError(f"out must hold floating values, got {dtype}")
 
+    @property
+    def anew(self) -> str:
+        """What to do where what is done is not to be gone on with."""
+        return f"remove {self.unfinished or 'the checkpoint'} to begin anew"
+
     def check(self, tile: Tile, coefficients: np.ndarray, condition: float) -> None:
         """TileError where `out` has other coefficients of a tile that is done, beyond rounding at that condition
         number: the photographs are others, or `out` is."""
@@ -89,8 +94,7 @@ class TileResults:
         if there.shape != coefficients.shape or not np.all(np.abs(there - coefficients) <= limit):
             raise TileError(
                 tile.number,
-                "was done and out does not hold its fit: the photographs, or out, are others than before; remove "
-                f"{self.unfinished or 'the checkpoint'} to begin anew",
+                f"was done and out does not hold its fit: photographs, or out, are others than before: {self.anew}",
             )
 
     def write(self, tile: Tile, coefficients: np.ndarray) -> None:

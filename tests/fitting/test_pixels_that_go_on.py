@@ -28,7 +28,7 @@ def empty(dtype=DTYPE):
 def test_other_photographs(tmp_path):
     out = tmp_path / "out.npy"
     interrupted(out=out)
-    message = f"tile 2: was done and out does not hold its fit: .*; remove {tmp_path}/.out.npy.unfinished to begin anew"
+    message = f"tile 2: was done and out does not hold its fit: .* remove {tmp_path}/.out.npy.unfinished to begin anew"
     with pytest.raises(TileError, match=message):
         project_pixels(BASIS, LIGHTS, photographs(seed=1), rows=20, out=out)
     same(project_pixels(BASIS, LIGHTS, photographs(), rows=20, out=out), photographs())
@@ -51,6 +51,21 @@ def test_an_array_of_fewer_digits(tmp_path):
     interrupted(out=out, checkpoint=tmp_path)
     project_pixels(BASIS, LIGHTS, photographs(), rows=20, out=out, checkpoint=tmp_path)
     np.testing.assert_allclose(out, project_pixels(BASIS, LIGHTS, photographs()).coefficients, rtol=1e-5, atol=1e-5)
+
+
+def test_tiles_that_do_not_come_any_more(tmp_path, monkeypatch):
+    out, tiles = tmp_path / "out.npy", np.array_split(photographs(), 5)
+
+    def killed(results):
+        raise OSError("the disk is gone")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hshjax.fitting._tile_results.TileResults.publish", killed)
+        with pytest.raises(OSError, match="the disk is gone"):
+            project_pixels(BASIS, LIGHTS, iter(tiles), pixels=PIXELS, out=out)
+    with pytest.raises(TileError, match=r"tile 4: was done, and does not come any more: remove .*unfinished to begin"):
+        project_pixels(BASIS, LIGHTS, iter(tiles[:2]), pixels=PIXELS, out=out)
+    same(project_pixels(BASIS, LIGHTS, iter(tiles), pixels=PIXELS, out=out), photographs())
 
 
 def test_two_runs_with_one_path(tmp_path):
