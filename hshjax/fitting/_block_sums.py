@@ -1,5 +1,6 @@
 """Blocks of samples folded into the factors of a least-squares problem, and the state of that on the way."""
 
+import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -23,21 +24,28 @@ STEP = 2**16
 """Samples that one call of the compiled program folds, on every device."""
 
 
+ANEW = "take another folder for the checkpoint, or empty it to begin anew"
+
+ENTRIES = "numbers", "total", "kind", "last"
+"""Of every state."""
+
+
 class BlockSums:
     """What is known of the blocks so far.
 
     `factor`: R of [sqrt(w) B, sqrt(w) f] under the weight of the fit; `judged`: under that of the judge, None where it
     is the same. `counts` of samples; `seen`: those that have a weight in the fit. `kind` of the blocks, `begin`: the
-    number of the first block that is not among them. `mesh`: a flat one of this process, which shares every step.
+    number of the first block that is not among them. `last`: digest of the block before that one, if `keep`, for
+    whoever goes on to compare. `mesh`: a flat one of this process, which shares every step.
     """
 
-    def __init__(self, basis: AbstractPairBasis, norm: Norm, mesh: Mesh | None = None):
-        self.basis, self.norm, self.mesh = basis, norm, mesh
+    def __init__(self, basis: AbstractPairBasis, norm: Norm, mesh: Mesh | None = None, *, keep: bool = False):
+        self.basis, self.norm, self.mesh, self.keep = basis, norm, mesh, keep
         self.counts, self.seen = Counts(0, 0, 0, 0.0), 0
         self.factor: Array | None = None
         self.judged: Array | None = None
         self.kind: Kind | None = None
-        self.begin = 0
+        self.begin, self.last = 0, ""
 
     def fold(
         self,
@@ -47,18 +55,28 @@ class BlockSums:
         pause: Callable[[], bool],
     ) -> Iterator[None]:
         """Folds the blocks that are wanted, with a stop at the end and wherever `pause()` is true between two: there,
-        all blocks that were read are in. `on_block(number)` after each."""
+        all blocks that were read are in. `on_block(number)` after each.
+
+        **Raises:** BlockError where the last of the blocks that are in already does not come again as it was.
+        """
         reading = read_blocks(blocks, wanted, self.kind)
-        more = True
+        more, missing = True, self.begin > 0
 
         def until_pause() -> Iterator[Samples]:
-            nonlocal more
+            nonlocal more, missing
             for number, samples in reading:
+                if number < self.begin:  # it is in
+                    if _digest(samples) != self.last:
+                        raise BlockError(number, f"is another one than the checkpoint holds: {ANEW}")
+                    missing = False
+                    continue
                 yield self._counted(number, samples)
-                self.begin = number + 1
+                self.begin, self.last = number + 1, _digest(samples) if self.keep else ""
                 on_block(number)
                 if pause():
                     return
+            if missing:
+                raise BlockError(self.begin - 1, f"is in the checkpoint, and does not come any more: {ANEW}")
             more = False
 
         while more:
@@ -98,6 +116,7 @@ class BlockSums:
             "numbers": np.asarray([self.counts.size, self.counts.used, self.counts.inside, self.seen, self.begin]),
             "total": np.asarray(self.counts.total, np.float64),
             "kind": np.asarray(json.dumps(self.kind)),
+            "last": np.asarray(self.last),
         }
 
     def include(self, state: dict[str, np.ndarray], who: str = "") -> None:
@@ -108,9 +127,17 @@ class BlockSums:
             raise ValueError(f"blocks of {who} are of another kind, {kind}, than those before, {self.kind}")
         self.kind = self.kind if kind is None else kind
         self.counts = self.counts.plus(Counts(size, used, inside, float(state["total"])))
-        self.seen, self.begin = self.seen + seen, max(self.begin, begin)
+        self.seen, self.begin, self.last = self.seen + seen, max(self.begin, begin), str(state["last"])
         self.factor = _both(self.factor, state.get("factor"))
         self.judged = _both(self.judged, state.get("judged"))
+
+
+def _digest(samples: Samples) -> str:
+    """SHA-256 of a block."""
+    found = hashlib.sha256()
+    for part in (samples.wi, samples.wo, samples.value, samples.weight):
+        found.update(np.ascontiguousarray(part).view(np.uint8).data)
+    return found.hexdigest()
 
 
 def _both(here: Array | None, there: np.ndarray | None) -> Array | None:

@@ -5,7 +5,9 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.sharding import Mesh
 
 from hshjax.fitting._mesh import ALIKE, SHARES, flat_mesh, gathered, put
@@ -23,10 +25,19 @@ def map_over_mesh(function: Callable[[Any], Any], batch: Any, mesh: Mesh) -> Any
 
     **Returns:** results with the same leading axis, as arrays of one device.
 
-    **Raises:** ValueError where leading axes differ or there is no element.
+    **Raises:** ValueError where leading axes differ or there is no element, and inside a transformation of jax.
     """
     arrays, rest = eqx.partition(batch, eqx.is_array_like)
-    arrays = jax.tree.map(np.asarray, arrays)
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arrays)):
+        raise ValueError("inside a transformation of jax map_over_mesh cannot share out a batch: call it outside")
+    kinds = jax.tree.map(lambda leaf: jax.random.key_impl(leaf) if _is_key(leaf) else "", arrays)
+    # Numpy has no keys of random numbers: they travel as the integers that they are.
+    arrays = jax.tree.map(lambda leaf: np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf), arrays)
+
+    def element(one):
+        one = jax.tree.map(lambda leaf, kind: jax.random.wrap_key_data(leaf, impl=kind) if kind else leaf, one, kinds)
+        return function(eqx.combine(one, rest))
+
     lengths = {leaf.shape[:1] for leaf in jax.tree.leaves(arrays)}
     if len(lengths) != 1 or lengths & {(), (0,)}:
         raise ValueError(
@@ -40,12 +51,15 @@ def map_over_mesh(function: Callable[[Any], Any], batch: Any, mesh: Mesh) -> Any
         return put(np.concatenate([leaf, np.repeat(leaf[-1:], lacking, axis=0)]), mesh)
 
     def share(arrays):
-        results = jax.vmap(lambda one: eqx.filter(function(eqx.combine(one, rest)), eqx.is_array))(arrays)
-        return results
+        return jax.vmap(lambda one: eqx.filter(element(one), eqx.is_array))(arrays)
 
-    static = eqx.filter_eval_shape(lambda one: function(eqx.combine(one, rest)), jax.tree.map(lambda a: a[0], arrays))
+    static = eqx.filter_eval_shape(element, jax.tree.map(lambda a: a[0], arrays))
     static = eqx.filter(static, lambda leaf: isinstance(leaf, jax.ShapeDtypeStruct), inverse=True)
     each = jax.shard_map(share, mesh=mesh, in_specs=SHARES, out_specs=SHARES, check_vma=False)
     run = jax.jit(each, out_shardings=jax.NamedSharding(mesh, ALIKE))
     found = jax.tree.map(lambda leaf: leaf[:count], gathered(run(jax.tree.map(placed, arrays)), mesh))
     return eqx.combine(found, static)
+
+
+def _is_key(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)

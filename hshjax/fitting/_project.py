@@ -83,7 +83,8 @@ def project(
       would be infinite otherwise. The price is what `relative` gains over a fit without constraints.
     - `mesh`: devices that share the samples (`device_mesh`), of any shape and axes. Each factorises its part, and the
       factors are merged by one more QR: the result is that of one device, to rounding. Where some of the devices are of
-      other processes, every process makes the same call with the same samples.
+      other processes, every process makes the same call with the same samples. Inside a transformation, jax refuses
+      arrays that were put on one device (`jax.device_put`), and values and derivatives stay on the mesh.
 
     **Returns:** a `Fit`. Beside the samples, memory holds a few blocks and two matrices of unknowns x unknowns.
 

@@ -5,6 +5,7 @@ is that of their two R, one above the other. A block is read, folded into the fa
 """
 
 from collections.abc import Callable, Iterable, Sized
+from contextlib import ExitStack
 from os import PathLike
 
 import jax
@@ -16,7 +17,7 @@ from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF
-from hshjax.fitting._block_sums import BlockSums
+from hshjax.fitting._block_sums import ENTRIES, BlockSums
 from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
 from hshjax.fitting._checks import check_determined, check_enough
 from hshjax.fitting._lapack import suited_threads
@@ -57,7 +58,9 @@ def project_blocks(
     - `checkpoint`: a folder for what has been done, one file a process, written beside and renamed every so many
       seconds (`every`; 0 for after each block) and at the end of the pass. The same call, with as many processes,
       goes on after the blocks that are in it, on any number of devices, and also after an error; `ridge`, `prior` and
-      `covariance` may be others. The files are removed when the fit is returned.
+      `covariance` may be others. Each process reads the last of its blocks that are in once more, to see that it is
+      the same; of the others nothing is known. One run at a time has the folder. The files are removed when the fit is
+      returned.
     - `timeout`: seconds without a sign of life after which another process counts as lost, from this call on. jax ends
       all processes by itself when `heartbeat_timeout_seconds` of `jax.distributed.initialize` have passed, or as soon
       as process 0 is lost: keep this less.
@@ -66,26 +69,33 @@ def project_blocks(
     **Returns:** the `Fit` that `project` gives of all samples together, to rounding.
 
     **Raises:** BlockError, naming the block, for one that is no `Samples`, differs from the first in channels, dtype
-    or `isotropic`, or holds what `project` refuses, and where fewer or more blocks come than the length says. What
-    reading raises is passed on, with a note that names the block. ValueError as of `project` where all blocks together
-    do not determine the fit; for a checkpoint of another basis, norm, length or number of processes. ProcessError in
-    every process that is left, where one is lost or has ended with an error.
+    or `isotropic`, or holds what `project` refuses, where fewer or more blocks come than the length says, and where the
+    last that is in the checkpoint is another one now. What reading raises is passed on, with a note that names the
+    block. ValueError as of `project` where all blocks together do not determine the fit; for a checkpoint of another
+    basis, norm, length or number of processes, and for one that another run is using. ProcessError in every process
+    that is left, where one is lost or has ended with an error.
     """
     chosen = named_norm(norm)
     gamma = penalty(basis, ridge, prior)
     length = len(blocks) if isinstance(blocks, Sized) else None
-    sums = BlockSums(basis, chosen, None if mesh is None else own_mesh(mesh))
-    with Processes(mesh, "project_blocks", timeout, _advice(checkpoint)) as processes, suited_threads(basis.count):
+    sums = BlockSums(basis, chosen, None if mesh is None else own_mesh(mesh), keep=checkpoint is not None)
+    with (
+        Processes(mesh, "project_blocks", timeout, _advice(checkpoint)) as processes,
+        suited_threads(basis.count),
+        ExitStack() as held,
+    ):
         index, count = processes.index, processes.count
         run = {"length": length, **fingerprint(basis=basis, norm=norm)}
         saved = None if checkpoint is None else Checkpoint(checkpoint, run, index, count, every)
-        before = None if saved is None else saved.load()
+        if saved is not None:
+            held.enter_context(saved.held())
+        before = None if saved is None else saved.load(*ENTRIES)
         if before is not None:
             sums.include(before)
         begin = sums.begin
 
-        def wanted(number: int) -> bool:
-            return number >= begin and number % count == index
+        def wanted(number: int) -> bool:  # the last that is in, too, to see that it is the same
+            return number >= begin - 1 and number % count == index
 
         def said(number: int) -> None:
             processes.check()

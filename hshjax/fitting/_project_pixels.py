@@ -8,6 +8,7 @@ functions and columns as lights, times the values of a pixel.
 
 import json
 from collections.abc import Callable
+from contextlib import ExitStack
 from os import PathLike
 from typing import Any
 
@@ -25,7 +26,7 @@ from hshjax.fitting._mesh import own_mesh
 from hshjax.fitting._prior import Prior
 from hshjax.fitting._processes import Processes
 from hshjax.fitting._tile_results import TileResults
-from hshjax.fitting._tiles import TileError, Tiles, check_finite
+from hshjax.fitting._tiles import TileError, Tiles, finite_values
 
 
 class PixelFit(eqx.Module):
@@ -77,7 +78,9 @@ def project_pixels(
     - `ridge`, `prior`: see `project`; "spectral" is (n(n+1))², which leaves the constant free.
     - `out`: where coefficients go: None for memory; anything with `shape` (pixels, functions, channels) that takes
       `out[start:stop] = array`; or the path of a .npy file, which gets its name when it is whole. Beside a path, the
-      folder `.NAME.unfinished` holds what is done, and the same call goes on from there after an interruption.
+      folder `.NAME.unfinished` holds what is done, and the same call goes on from there after an interruption. The
+      last tile that is done is then fitted again and compared with `out`, which must give it for `out[start:stop]`; of
+      the others nothing is known. One run at a time has a path or checkpoint.
     - `pixels`: how many a source without a shape will yield; a path needs to know.
     - `checkpoint`: a folder for what has been done, where `out` is an array that outlives the process. `every`: see
       `project_blocks`. Only tiles are in it that are whole in `out`, and flushed where `out` can.
@@ -91,9 +94,10 @@ def project_pixels(
     **Returns:** a `PixelFit`.
 
     **Raises:** TileError, naming the tile, for one of another shape or dtype than the first, for values that are not
-    finite, and where another number of pixels comes than was said. ValueError for lights that are not of unit length,
-    below the horizon of the basis, or do not determine the functions; for a source, `out` or checkpoint that do not
-    fit. ProcessError: see `project_blocks`.
+    finite, where another number of pixels comes than was said, and where what is done is not in `out`, or of other
+    photographs. ValueError for lights that are not of unit length, below the horizon of the basis, or do not determine
+    the functions; for a source, `out` or checkpoint that do not fit, and for one that another run is using.
+    ProcessError: see `project_blocks`.
     """
     design = LightDesign(basis, lights, weight, ridge, prior)
     tiles, results = Tiles(source, rows, len(design.rows)), TileResults(out)
@@ -105,12 +109,14 @@ def project_pixels(
     run = {"pixels": total, "tiles": rows if tiles.pixels else "as they come", "kind": tiles.kind}
     run |= fingerprint(basis=basis, lights=design.operator)
     own, of = None if mesh is None else own_mesh(mesh), len(tiles) if tiles.pixels else None
-    with Processes(mesh, "project_pixels", timeout, _advice(folder)) as processes:
+    with Processes(mesh, "project_pixels", timeout, _advice(folder)) as processes, ExitStack() as held:
         index, count = processes.index, processes.count
         if count > 1 and out is None:
             raise ValueError("processes that share the pixels need an `out` to write to, got None")
         saved = None if folder is None else Checkpoint(folder, run, index, count, every)
-        state = (None if saved is None else saved.load()) or {
+        if saved is not None:
+            held.enter_context(saved.held())
+        state = (None if saved is None else saved.load("numbers", "sums")) or {
             "numbers": np.zeros(2, np.int64),
             "sums": np.zeros((2, tiles.channels)),
         }
@@ -129,9 +135,14 @@ def project_pixels(
 
         processes.put_together(json.dumps([run, begin]).encode(), create)
         results.open(shape)
-        for tile in tiles.read(lambda number: number >= begin and number % count == index):
-            check_finite(tile, design.weight > 0)
-            coefficients, sums = fit_pixels(design, tile.values.astype(dtype), own)
+        missing = begin > 0
+        for tile in tiles.read(lambda number: number >= begin - 1 and number % count == index):
+            values = finite_values(tile, dtype, design.weight > 0)
+            coefficients, sums = fit_pixels(design, values, own)
+            if tile.number < begin:  # it is done
+                results.check(tile, coefficients, design.condition)
+                missing = False
+                continue
             results.write(tile, coefficients)
             done = int(state["numbers"][1]) + len(coefficients)
             state = {"numbers": np.asarray([tile.number + 1, done]), "sums": state["sums"] + sums}
@@ -141,6 +152,8 @@ def project_pixels(
             if saved is not None and saved.due:
                 results.flush()
                 saved.save(state)
+        if missing:
+            raise TileError(begin - 1, f"was done, and does not come any more: {results.anew}")
         if saved is not None:
             results.flush()
             saved.save(state)
@@ -155,10 +168,11 @@ def project_pixels(
             return packed({"sums": np.sum([one["sums"] for one in states], axis=0)})
 
         error, size = np.sqrt(unpacked(processes.put_together(packed(state), publish))["sums"])
+        held.close()  # nobody writes any more, and network file systems remove no file that is open
         processes.finish()
-        if saved is not None:
+        if saved is not None and results.unfinished is None:
             saved.remove()
-        if index == 0:
+        if index == 0:  # for all: others would remove at the same time
             results.clear()
     coefficients = results.array if results.path is None else np.load(results.path, mmap_mode="r")
     return PixelFit(basis, coefficients, error, error / np.where(size > 0, size, 1), design.condition)

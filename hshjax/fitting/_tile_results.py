@@ -7,12 +7,16 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from hshjax.fitting._tiles import Tile, TileError
 
 PART = "coefficients.npy"
 """In the folder of what is unfinished."""
+
+LONGEST = 255
+"""Bytes of a name, where file systems end them."""
 
 
 class TileResults:
@@ -21,27 +25,41 @@ class TileResults:
     - `out`: None for memory; anything with `shape` that takes `out[start:stop] = array`; or a path, beside which what
       is not whole yet lies in the folder `unfinished`.
     - `array`: what has been written to, None before.
+
+    **Raises:** ValueError for a path that is a folder, or of too long a name.
     """
 
     def __init__(self, out: Any):
         self.path = Path(out) if isinstance(out, str | PathLike) else None
+        if self.path is not None and self.path.is_dir():
+            raise ValueError(f"out must be the path of a file, and {self.path} is a folder")
         self.array: Any = None if self.path is not None else out
         self.unfinished = None if self.path is None else self.path.with_name(f".{self.path.name}.unfinished")
         self._parts: list[np.ndarray] | None = [] if out is None else None
+        size = 0 if self.unfinished is None else len(os.fsencode(self.unfinished.name))
+        if self.unfinished is not None and size > LONGEST:
+            raise ValueError(
+                f"the file name of out must leave room for {self.unfinished.name}, which has {size} bytes, "
+                f"{LONGEST} at most"
+            )
 
     def create(self, shape: tuple[int | None, int, int], dtype: np.dtype, *, anew: bool) -> None:
         """Begins a file, where it is to be one, unless it is there. `anew`: whether nothing was done before.
 
         **Raises:** ValueError for a file of unknown length, or one that is gone.
         """
-        if self.unfinished is None or (self.unfinished / PART).exists():
+        if self.path is None or self.unfinished is None:
+            return
+        # One of another kind is of a call that ended before anything of it was kept.
+        if (self.unfinished / PART).exists() and (not anew or _kind(self.unfinished / PART) == (shape, dtype)):
             return
         if shape[0] is None:
             raise ValueError("a file needs to know the number of pixels: give it beside a source without shape")
         if not anew:
+            there = "is there" if self.path.exists() else "is not there"
             raise ValueError(
                 f"{self.unfinished} says that tiles are done and lacks {PART}, which was lost, or renamed when it was "
-                "whole: remove the folder to begin anew"
+                f"whole, to {self.path}, which {there}: remove the folder to begin anew"
             )
         beside = self.unfinished / "new.npy"  # a header must be whole, too
         np.lib.format.open_memmap(beside, "w+", dtype, (shape[0], *shape[1:])).flush()  # a hole, as long as the result
@@ -57,6 +75,27 @@ class TileResults:
         got = tuple(int(size) for size in self.array.shape)
         if got != (got[0] if pixels is None else pixels, functions, channels):
             raise ValueError(f"out must be (pixels, functions, channels), {shape} here, got {got}")
+        dtype = getattr(self.array, "dtype", None)
+        dtype = getattr(dtype, "numpy_dtype", dtype)  # of tensorstore
+        if dtype is not None and not jnp.issubdtype(dtype, jnp.floating):
+            raise ValueError(f"out must hold floating values, got {dtype}")
+
+    @property
+    def anew(self) -> str:
+        """What to do where what is done is not to be gone on with."""
+        return f"remove {self.unfinished or 'the checkpoint'} to begin anew"
+
+    def check(self, tile: Tile, coefficients: np.ndarray, condition: float) -> None:
+        """TileError where `out` has other coefficients of a tile that is done, beyond rounding at that condition
+        number: the photographs are others, or `out` is."""
+        there = np.asarray(self.array[tile.start : tile.start + len(coefficients)])
+        step = max(float(jnp.finfo(one.dtype).eps) for one in (there, coefficients))
+        limit = max(step**0.5, condition * step) * np.max(np.abs(coefficients))
+        if there.shape != coefficients.shape or not np.all(np.abs(there - coefficients) <= limit):
+            raise TileError(
+                tile.number,
+                f"was done and out does not hold its fit: photographs, or out, are others than before: {self.anew}",
+            )
 
     def write(self, tile: Tile, coefficients: np.ndarray) -> None:
         """The coefficients of a tile in their place; TileError for pixels beyond the end."""
@@ -84,6 +123,8 @@ class TileResults:
             self.array = np.concatenate(self._parts)
         self.flush()
         if self.path is not None and self.unfinished is not None:
+            if not self.array.is_at(self.unfinished / PART):  # where nobody looks after two runs with one path
+                raise ValueError(f"{self.unfinished / PART} is of another run by now: give each an out of its own")
             self.array = None  # no handle of the unfinished file is left
             os.replace(self.unfinished / PART, self.path)
 
@@ -93,18 +134,33 @@ class TileResults:
             shutil.rmtree(self.unfinished)
 
 
+def _kind(path: Path) -> tuple[tuple[int, ...], np.dtype]:
+    mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+    return mapped.shape, mapped.dtype
+
+
 class _File:
     """A .npy file that slices are written to: unlike those of a map, its pages never count as memory of the process."""
 
     def __init__(self, path: Path):
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        self.shape, self._dtype, self._offset = mapped.shape, mapped.dtype, mapped.offset
+        self.shape, self.dtype, self._offset = mapped.shape, mapped.dtype, mapped.offset
         self._file = path.open("r+b")
 
     def __setitem__(self, rows: slice, values: np.ndarray) -> None:
-        size = math.prod(self.shape[1:]) * self._dtype.itemsize
+        size = math.prod(self.shape[1:]) * self.dtype.itemsize
         self._file.seek(self._offset + rows.start * size)
-        self._file.write(np.ascontiguousarray(values, self._dtype).data)
+        self._file.write(np.ascontiguousarray(values, self.dtype).data)
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        size = math.prod(self.shape[1:]) * self.dtype.itemsize
+        self._file.seek(self._offset + rows.start * size)
+        got = self._file.read((rows.stop - rows.start) * size)
+        return np.frombuffer(got, self.dtype).reshape(-1, *self.shape[1:])
+
+    def is_at(self, path: Path) -> bool:
+        """Whether this is the file of that name."""
+        return path.exists() and os.path.samestat(os.fstat(self._file.fileno()), path.stat())
 
     def flush(self) -> None:
         self._file.flush()

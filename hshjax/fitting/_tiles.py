@@ -110,18 +110,21 @@ def _kind(values: np.ndarray) -> str:
     return f"{values.shape[2]} channels of {values.dtype.name}"
 
 
-def check_finite(tile: Tile, used: np.ndarray) -> None:
-    """TileError for values that are not finite under a light that is used."""
+def finite_values(tile: Tile, dtype: np.dtype, used: np.ndarray) -> np.ndarray:
+    """The values in `dtype`; TileError for those that are not finite in it, under a light that is used."""
+    with np.errstate(over="ignore"):  # what is infinite then is told
+        values = tile.values.astype(dtype)
     if tile.values.dtype.kind != "f":
-        return
-    bad = ~np.isfinite(tile.values).all(axis=2) & used
+        return values
+    bad = ~np.isfinite(values).all(axis=2) & used
     if bad.any():
         pixel, light = np.argwhere(bad)[0]
         raise TileError(
             tile.number,
-            f"{bad.sum()} values are NaN or infinite, the first of pixel {tile.start + pixel} under light {light}: "
-            "give that light the weight 0, or fill them in",
+            f"{bad.sum()} values are NaN or infinite in {dtype}, the first of pixel {tile.start + pixel} under light "
+            f"{light}: give that light the weight 0, or fill them in",
         )
+    return values
 
 
 @contextmanager

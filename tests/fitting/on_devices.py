@@ -201,3 +201,18 @@ def test_materials_are_fitted_as_on_one_device():
     for bad in (jnp.zeros(()), (jnp.zeros(2), jnp.zeros(3)), jnp.zeros(0)):
         with pytest.raises(ValueError, match="a leading axis of equal length, at least 1"):
             map_over_mesh(lambda x: x, bad, device_mesh(2))
+
+
+def test_keys_are_shared_out_too():
+    keys = jax.random.split(jax.random.key(0), 3)
+
+    def one(start):
+        return jax.random.normal(start[0], (2,), DTYPE) * start[1]
+
+    scales = jnp.arange(3, dtype=DTYPE)
+    assert_close(map_over_mesh(one, (keys, scales), device_mesh(2)), jax.vmap(one)((keys, scales)))
+
+
+def test_a_batch_is_not_shared_out_inside_a_transformation():
+    with pytest.raises(ValueError, match="inside a transformation of jax map_over_mesh cannot share out a batch"):
+        jax.jit(lambda x: map_over_mesh(lambda y: y, x, device_mesh(2)))(jnp.zeros(4, DTYPE))

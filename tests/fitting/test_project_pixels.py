@@ -8,6 +8,7 @@ import pytest
 
 from hshjax.bases import HSH, SphericalHarmonics
 from hshjax.fitting import TileError, project_pixels
+from hshjax.fitting._tiles import Tile, finite_values
 from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
 
 BASIS = HSH(2)
@@ -105,7 +106,7 @@ def test_a_file_has_its_name_when_it_is_whole(tmp_path):
     assert [one.name for one in tmp_path.iterdir()] == [".coefficients.npy.unfinished"]
     source, said = Lazy(values), []
     fit = project_pixels(BASIS, LIGHTS, source, rows=20, out=out, on_tile=lambda *which: said.append(which))
-    assert source.read[1:] == [(60, 80), (80, 100), (100, PIXELS)], "after a look at the first pixel"
+    assert source.read[1:] == [(40, 60), (60, 80), (80, 100), (100, PIXELS)], "after a look at the first pixel"
     assert said == [(3, 6), (4, 6), (5, 6)]
     assert [one.name for one in tmp_path.iterdir()] == [out.name]
     assert isinstance(fit.coefficients, np.memmap)
@@ -122,7 +123,7 @@ def test_an_array_of_the_callers_and_a_checkpoint(tmp_path):
     assert not out[60:].any()
     source = Lazy(values)
     same(project_pixels(BASIS, LIGHTS, source, rows=20, out=out, checkpoint=tmp_path), values)
-    assert source.read[1:] == [(60, 80), (80, 100), (100, PIXELS)]
+    assert source.read[1:] == [(40, 60), (60, 80), (80, 100), (100, PIXELS)]
     assert not list(tmp_path.iterdir())
 
 
@@ -156,8 +157,12 @@ def test_another_call_does_not_go_on_with_a_file(tmp_path):
         with pytest.raises(ValueError, match=f"another run, whose {changed} was"):
             project_pixels(**call)
     (tmp_path / ".coefficients.npy.unfinished" / "coefficients.npy").unlink()
-    with pytest.raises(ValueError, match=r"says that tiles are done and lacks coefficients.npy"):
-        project_pixels(BASIS, LIGHTS, values, rows=20, out=out)
+    for there in ("is not there", "is there"):
+        with pytest.raises(
+            ValueError, match=rf"tiles are done and lacks coefficients.npy, .*, to {out}, which {there}"
+        ):
+            project_pixels(BASIS, LIGHTS, values, rows=20, out=out)
+        out.touch()
 
 
 def bad(kind):
@@ -184,7 +189,10 @@ def bad(kind):
         ("lights", r"expected \(pixels, 20 lights, channels\), got \(53, 19, 3\)"),
         ("channels", "expected 3 channels of .* as of the first, got 2"),
         ("dtype", "expected 3 channels of .* as of the first, got 3 channels of float16"),
-        ("nan", "1 values are NaN or infinite, the first of pixel 53 under light 4: give that light the weight 0"),
+        (
+            "nan",
+            "1 values are NaN or infinite in .*, the first of pixel 53 under light 4: give that light",
+        ),
         ("words", "expected real numbers, got <U"),
         ("axes", r"got \(20, 3\)"),
     ],
@@ -226,6 +234,9 @@ def test_a_source_of_another_length(tmp_path):
         ({"rows": 0}, "at least 1, got 0"),
         ({"pixels": 4}, "this one has 103, got 4"),
         ({"out": np.zeros((3, 9, 3))}, r"out must be \(pixels, functions, channels\), \(103, 9, 3\) here, got \(3, 9"),
+        ({"out": np.zeros((PIXELS, 9, 3), int)}, "out must hold floating values, got int64"),
+        ({"out": "."}, "out must be the path of a file, and . is a folder"),
+        ({"out": 250 * "x"}, "must leave room for .x*.unfinished, which has 262 bytes, 255 at most"),
         ({"checkpoint": "here"}, "a checkpoint is for an `out`"),
         ({"prior": "spectral"}, "ridge > 0"),
     ],
@@ -244,3 +255,12 @@ def test_a_file_of_tiles_needs_their_number(tmp_path):
 def test_lights_all_around():
     fit = project_pixels(SphericalHarmonics(2), -LIGHTS, photographs())
     assert fit.coefficients.shape == (PIXELS, 9, 3)
+
+
+def test_values_that_the_dtype_of_the_fit_does_not_hold():
+    values = np.ones((2, 3, 1))
+    values[1, :2, 0] = 1e300, np.nan
+    message = "2 values are NaN or infinite in float32, the first of pixel 11 under light 0"
+    with pytest.raises(TileError, match=message):
+        finite_values(Tile(0, 10, values), np.dtype(np.float32), np.array([True, True, True]))
+    assert finite_values(Tile(0, 10, values), np.dtype(np.float32), np.array([False, False, True])).dtype == np.float32
