@@ -49,6 +49,8 @@ def kernel(function: Callable, *arrays: Array):
     It fuses nothing across a branch, and the predicate of this one is hidden from it. Other devices need none of this.
     """
 
+    function = jax.jit(function)  # traced once for all that follows
+
     def branch(*arrays):
         true = jax.lax.optimization_barrier(jnp.ones((), bool))
         shape = jax.eval_shape(function, *arrays)
