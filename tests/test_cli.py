@@ -7,6 +7,7 @@ import sys
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import typer.main
 from typer.testing import CliRunner
 
 from hshjax.bases import HSH, IsotropicBasis
@@ -40,6 +41,14 @@ def model(tmp_path):
 def test_help_teaches():
     assert "hshjax fit leather.bsdf" in run("--help").output
     assert "norms.md" in run("fit", "--help").output
+
+
+def test_no_help_loses_words_to_markup():
+    """What stands in brackets would be taken for markup, and vanish."""
+    for command in typer.main.get_group(app).commands.values():
+        for parameter in command.params:
+            assert "[" not in (getattr(parameter, "help", None) or ""), (command.name, parameter.name)
+    assert "(64," in run("fit", "--help").output  # the rest of the default may stand on the next line
 
 
 def test_a_model_is_described_and_fitted_again(model, tmp_path):
@@ -95,7 +104,7 @@ def test_a_valid_fit_shows_its_certificate(model, tmp_path):
 def test_errors_are_sentences(model, tmp_path):
     (tmp_path / "text.bsdf").write_text("no material")
     for arguments, message in (
-        (("info", tmp_path / "absent.bsdf"), "No such file"),
+        (("info", tmp_path / "absent.bsdf"), "absent.bsdf: No such file"),
         (("info", tmp_path / "text.bsdf"), "text.bsdf: "),
         (("fit", model, "--out", tmp_path / "no" / "where.hshjax"), "there is no folder"),
         (("fit", model, "--out", tmp_path / "a", "--order", 8, "--degree", 2, "--ridge", 0), "unknowns"),

@@ -61,7 +61,9 @@ def guarded(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def sentence(error: BaseException) -> str:
-    """What an exception says, or its name where it says nothing."""
+    """What an exception says, or its name where it says nothing; of the system's, without their numbers."""
+    if isinstance(error, OSError) and error.filename is not None and error.filename2 is None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
     return str(error) or type(error).__name__
 
 

@@ -68,7 +68,7 @@ def fit(
     ] = False,
     degree: Annotated[
         int | None,
-        typer.Option(min=2, max=512, help="Of the rule that samples a table [default: 64, or 4 x order]."),
+        typer.Option(min=2, max=512, help="Of the rule that samples a table.", show_default="64, or 4 x order"),
     ] = None,
     negatives: Negatives = "keep",
     max_steps: Annotated[int, typer.Option(min=1, help="Limit of steps of an iterative fit.")] = 100,
@@ -76,8 +76,9 @@ def fit(
         Path | None,
         typer.Option(
             help="A folder for model.hshjax, metrics.json and spheres.png; or a name that ends in .hshjax, for the "
-            "model alone [default: FILE with suffix .hshjax]. Of a folder: a folder for one such folder a file, and "
-            "summary.csv, summary.json, report.html."
+            "model alone. Of a folder: a folder for one such folder a file, and summary.csv, summary.json, "
+            "report.html.",
+            show_default="FILE with suffix .hshjax",
         ),
     ] = None,
     picture: Annotated[

@@ -22,7 +22,8 @@ def info(
     energy: Annotated[
         bool | None,
         typer.Option(
-            help="Evaluate the BRDF as well: albedo, smallest value [default: of models, not of measured files]."
+            help="Evaluate the BRDF as well: albedo, smallest value.",
+            show_default="of models, not of measured files",
         ),
     ] = None,
     recursive: Annotated[bool, typer.Option("--recursive", help="Of a folder: look into folders within it.")] = False,

@@ -36,7 +36,7 @@ def render(
     seed: Annotated[int, typer.Option(min=0, help="Of these directions.")] = 0,
     exposure: Annotated[
         float | None,
-        typer.Option(help="Factor of the radiance [default: 1 in EXR, one that fits in PNG]."),
+        typer.Option(help="Factor of the radiance.", show_default="1 in EXR, one that fits in PNG"),
     ] = None,
     force: Force = False,
     as_json: Json = False,

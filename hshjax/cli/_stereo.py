@@ -48,31 +48,33 @@ def stereo(
     near: Annotated[
         float | None,
         typer.Option(
-            help="The light file's vectors, times this, are positions of lights nearby [unit of the scene]; their "
-            "origin is where the middle of the image meets the object's mean depth. Wants --image-height."
+            help="The light file's vectors, times this, are positions of lights nearby, in the unit of the scene; "
+            "their origin is where the middle of the image meets the object's mean depth. Wants --image-height."
         ),
     ] = None,
     image_height: Annotated[
         float | None,
         typer.Option(
-            help="What the image spans from top to bottom at the object's mean depth [unit of the scene]. With lights "
-            "or a camera nearby [default: its pixels, where only the camera is nearby]."
+            help="What the image spans from top to bottom at the object's mean depth, in the unit of the scene. With "
+            "lights or a camera nearby.",
+            show_default="its pixels, where only the camera is nearby",
         ),
     ] = None,
     field_of_view: Annotated[
         float | None,
-        typer.Option(help="Of a camera nearby, from top to bottom of the image [degrees]; else it is far away."),
+        typer.Option(help="Of a camera nearby, from top to bottom of the image, in degrees; else it is far away."),
     ] = None,
     convention: Annotated[
         Literal["opengl", "directx", "camera"],
         typer.Option(help="Of the normal maps written: y up; y down; y down and z away from the viewer."),
     ] = "opengl",
     rounds: Annotated[
-        int | None, typer.Option(min=0, help="Of learning materials; fewer are quicker [default: the solver's].")
+        int | None,
+        typer.Option(min=0, help="Of learning materials; fewer are quicker.", show_default="the solver's"),
     ] = None,
     sweeps: Annotated[
         int | None,
-        typer.Option(min=0, help="Of handing normals on between neighbours; 0 for none [default: the solver's]."),
+        typer.Option(min=0, help="Of handing normals on between neighbours; 0 for none.", show_default="the solver's"),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the choice of pixels that materials are learned from.")] = 0,
     force: Annotated[

@@ -57,7 +57,7 @@ def planned(folder: Path, out: Path, settings: dict[str, Any], *, recursive: boo
         else:
             plan.rows[one.name] = row(one.name, "done", figures=before[SUMMARY])
     if not any(one.kind == "material" for one in listed):
-        what = f"{len(listed)} entries" if listed else "nothing"
+        what = f"none among {len(listed)}" if listed else "nothing"
         first = f", the first is {listed[0].name}: {listed[0].reason}" if listed else ""
         raise ValueError(f"{folder}: expected at least one material, got {what}{first}")
     if others and not force:

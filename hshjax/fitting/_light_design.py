@@ -8,7 +8,7 @@ from jax.sharding import Mesh
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractBasis
 from hshjax.fitting._mesh import ALIKE, put
-from hshjax.fitting._prior import Prior, penalty_of
+from hshjax.fitting._prior import Prior, check_kind, penalty_of
 
 
 class LightDesign:
@@ -19,9 +19,11 @@ class LightDesign:
 
     **Raises:** ValueError for lights that are not of unit length or below the horizon, for weights that are negative,
     not finite or all zero, and for lights that do not determine the functions.
+    TypeError for a basis of pairs of directions.
     """
 
     def __init__(self, basis: AbstractBasis, lights, weight, ridge: float, prior: Prior | None):
+        check_kind(basis, AbstractBasis, "functions of one direction, such as HSH(3)")
         lights = np.asarray(lights, np.float64)
         if lights.ndim != 2 or lights.shape[1] != 3:
             raise ValueError(f"lights must be directions (lights, 3), got {lights.shape}")

@@ -13,8 +13,18 @@ Prior = Literal["spectral"] | Float[Array, " modes"] | np.ndarray
 
 
 def penalty(basis: AbstractPairBasis, ridge: float, prior: Prior | None) -> Float[Array, " modes"] | None:
-    """The diagonal of Γ = ridge x prior, or None for no penalty at all; see `penalty_of`."""
+    """The diagonal of Γ = ridge x prior, or None for no penalty at all; see `penalty_of`.
+
+    **Raises:** TypeError for what is no basis of pairs, which every linear fit asks for its penalty first.
+    """
+    check_kind(basis, AbstractPairBasis, "a basis of pairs of directions, such as IsotropicBasis(HSH(8))")
     return penalty_of(basis.count, basis.degrees, ridge, prior)
+
+
+def check_kind(basis: object, kind: type, words: str) -> None:
+    """TypeError for a basis of another kind than a fit takes."""
+    if not isinstance(basis, kind):
+        raise TypeError(f"basis must be {words}, got {basis}")
 
 
 def penalty_of(

@@ -28,6 +28,7 @@ from hshjax.fitting._prior import Prior, penalty
 from hshjax.fitting._processes import Processes
 from hshjax.fitting._project import posterior_of, solve_factor
 from hshjax.fitting._result import Fit
+from hshjax.fitting._sample_blocks import check_source
 from hshjax.samples import Samples
 
 
@@ -75,6 +76,7 @@ def project_blocks(
     basis, norm, length or number of processes, and for one that another run is using. ProcessError in every process
     that is left, where one is lost or has ended with an error.
     """
+    check_source(blocks)
     chosen = named_norm(norm)
     gamma = penalty(basis, ridge, prior)
     length = len(blocks) if isinstance(blocks, Sized) else None
@@ -137,6 +139,8 @@ def _together(basis: AbstractPairBasis, norm: Norm, found: list[bytes]) -> bytes
 
 def _solved(sums: BlockSums, gamma: Array | None, *, covariance: bool) -> Fit[LinearBRDF]:
     """The fit of the blocks that are in."""
+    if sums.counts.size == 0:
+        raise ValueError("no sample to fit: no block came, or empty ones only; a generator yields its blocks once")
     basis, norm, ridged = sums.basis, sums.norm, gamma is not None
     check_enough(sums.counts, norm, basis.count, ridged=ridged)
     assert sums.factor is not None  # or there was no sample

@@ -30,12 +30,15 @@ class SampleBlocks(Sequence[Samples]):
       `array[start:stop]`: of numpy, memory-mapped, datasets of h5py, arrays of zarr.
     - `rows`: of a block; the last one may have fewer. - `isotropic`: see `Samples`.
 
-    **Raises:** ValueError where shapes disagree.
+    **Raises:** ValueError where shapes disagree; TypeError for what has no shape, such as a path.
     """
 
     def __init__(self, wi: Any, wo: Any, value: Any, weight: Any = None, *, rows: int = 2**18, isotropic: bool = False):
-        n = wi.shape[0]
         self._parts = {"wi": wi, "wo": wo, "value": value} | ({} if weight is None else {"weight": weight})
+        for name, part in self._parts.items():
+            if not hasattr(part, "shape"):
+                raise TypeError(f"{name} must be an array, got {type(part).__name__} {part!r:.60}")
+        n = wi.shape[0]
         expected = {"wi": (n, 3), "wo": (n, 3), "value": (n, *value.shape[1:2]), "weight": (n,)}
         for name, part in self._parts.items():
             if tuple(part.shape) != expected[name] or (name == "value" and len(part.shape) != 2):
@@ -69,6 +72,15 @@ class SampleBlocks(Sequence[Samples]):
                 raise BlockError(number % len(self), f"expected {rows} rows of {name} from {start} on, got {len(part)}")
         parts = {name: jnp.asarray(part) for name, part in parts.items()}
         return Samples.scattered(**parts, isotropic=self._isotropic)
+
+
+def check_source(blocks: object) -> None:
+    """TypeError for what yields no blocks."""
+    if isinstance(blocks, Samples) or not isinstance(blocks, Iterable):
+        raise TypeError(
+            f"blocks must be a list of Samples, a generator of them, or SampleBlocks, got {type(blocks).__name__}; "
+            "of Samples in memory `project` makes the fit"
+        )
 
 
 Kind = dict[str, Any]

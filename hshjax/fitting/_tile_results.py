@@ -15,6 +15,9 @@ from hshjax.fitting._tiles import Tile, TileError
 PART = "coefficients.npy"
 """In the folder of what is unfinished."""
 
+OTHERS = (".zarr", ".h5", ".hdf5")
+"""Suffixes of arrays that callers make; a .npy file of that name would mislead."""
+
 LONGEST = 255
 """Bytes of a name, where file systems end them."""
 
@@ -26,13 +29,17 @@ class TileResults:
       is not whole yet lies in the folder `unfinished`.
     - `array`: what has been written to, None before.
 
-    **Raises:** ValueError for a path that is a folder, or of too long a name.
+    **Raises:** ValueError for a path that is a folder, has the suffix of another format, or too long a name.
     """
 
     def __init__(self, out: Any):
         self.path = Path(out) if isinstance(out, str | PathLike) else None
         if self.path is not None and self.path.is_dir():
             raise ValueError(f"out must be the path of a file, and {self.path} is a folder")
+        if self.path is not None and self.path.suffix.lower() in OTHERS:
+            raise ValueError(
+                f"a path as out becomes a .npy file, got {self.path}: make the {self.path.suffix} array, give it as out"
+            )
         self.array: Any = None if self.path is not None else out
         self.unfinished = None if self.path is None else self.path.with_name(f".{self.path.name}.unfinished")
         self._parts: list[np.ndarray] | None = [] if out is None else None

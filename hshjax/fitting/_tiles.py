@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import chain
+from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,13 +35,15 @@ class Tiles:
       anything that yields tiles, of which all are gone through. - `lights`: how many there are.
     - `pixels`: how many there are, None where that is not known. - `channels`, `dtype`: of all, and `kind`, in words.
 
-    **Raises:** ValueError for a shape that is not (pixels, lights, channels), and for rows < 1; TileError for the first
-    tile, see `read`.
+    **Raises:** ValueError for a shape that is not (pixels, lights, channels), and for rows < 1; TypeError for a path;
+    TileError for the first tile, see `read`.
     """
 
     def __init__(self, source: Any, rows: int, lights: int):
         if rows < 1:
             raise ValueError(f"rows of a tile must be at least 1, got {rows}")
+        if isinstance(source, str | PathLike):
+            raise TypeError(f'photographs must be an array, got a path: np.load({str(source)!r}, "r") opens it')
         self._source, self._rows, self._lights = source, rows, lights
         self.pixels: int | None = None
         if hasattr(source, "shape"):

@@ -226,7 +226,7 @@ def test_what_would_be_lost_or_makes_no_sense_is_refused(folder, tmp_path):
     with pytest.raises(TypeError, match="ordr"):
         fit_folder(folder, tmp_path / "out", ordr=3)
     (tmp_path / "empty" / "README").write_text("nothing")
-    with pytest.raises(ValueError, match="1 entries, the first is README: no material"):
+    with pytest.raises(ValueError, match="none among 1, the first is README: no material"):
         fit_folder(tmp_path / "empty", tmp_path / "out")
 
 

@@ -149,7 +149,7 @@ def test_a_source_that_ends_early_or_breaks():
 
 
 def test_what_all_blocks_together_lack():
-    with pytest.raises(ValueError, match="no sample to fit"):
+    with pytest.raises(ValueError, match="no sample to fit: no block came"):
         project_blocks(BASIS, [])
     few = Samples.scattered(*(jnp.asarray(w[:3]) for w in arrays()[:2]), jnp.ones((3, 1), DTYPE))
     with pytest.raises(ValueError, match="3 samples count in norm D, but there are 10 unknowns"):
@@ -170,6 +170,15 @@ def test_arrays_that_do_not_fit_together(changed, message):
     parts = dict(zip(("wi", "wo", "value", "weight"), arrays(), strict=True)) | changed
     with pytest.raises(ValueError, match=message):
         SampleBlocks(**parts)
+
+
+def test_arguments_of_another_kind(unchecked):
+    with pytest.raises(TypeError, match=r"wi must be an array, got str 'wi.npy'"):
+        SampleBlocks("wi.npy", "wo.npy", "value.npy")
+    with pytest.raises(TypeError, match="of Samples in memory `project` makes the fit"):
+        project_blocks(BASIS, whole())
+    with pytest.raises(TypeError, match=r"a basis of pairs of directions, .* got HSH\("):
+        project_blocks(HSH(1), cut(whole(), 5))
 
 
 class Counted(SampleBlocks):

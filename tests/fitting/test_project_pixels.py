@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, SphericalHarmonics
+from hshjax.bases import HSH, IsotropicBasis, SphericalHarmonics
 from hshjax.fitting import TileError, project_pixels
 from hshjax.fitting._tiles import Tile, finite_values
 from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
@@ -236,6 +236,7 @@ def test_a_source_of_another_length(tmp_path):
         ({"out": np.zeros((3, 9, 3))}, r"out must be \(pixels, functions, channels\), \(103, 9, 3\) here, got \(3, 9"),
         ({"out": np.zeros((PIXELS, 9, 3), int)}, "out must hold floating values, got int64"),
         ({"out": "."}, "out must be the path of a file, and . is a folder"),
+        ({"out": "x.zarr"}, "becomes a .npy file, got x.zarr"),
         ({"out": 250 * "x"}, "must leave room for .x*.unfinished, which has 262 bytes, 255 at most"),
         ({"checkpoint": "here"}, "a checkpoint is for an `out`"),
         ({"prior": "spectral"}, "ridge > 0"),
@@ -244,6 +245,19 @@ def test_a_source_of_another_length(tmp_path):
 def test_calls_that_make_no_sense(changed, message):
     call = {"basis": BASIS, "lights": LIGHTS, "source": photographs()} | changed
     with pytest.raises(ValueError, match=message):
+        project_pixels(**call)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"source": "stack.npy"}, "got a path: np.load"),
+        ({"basis": IsotropicBasis(HSH(1))}, r"functions of one direction, .* got IsotropicBasis\("),
+    ],
+)
+def test_arguments_of_another_kind(changed, message, unchecked):
+    call = {"basis": BASIS, "lights": LIGHTS, "source": photographs()} | changed
+    with pytest.raises(TypeError, match=message):
         project_pixels(**call)
 
 
