@@ -74,25 +74,29 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained", sharey=True)
     held = {"order": 8, "points": 100_000, "channels": 3}
+    colours = {label: f"C{k}" for k, label in enumerate(sorted({_label(row) for row in rows}))}
+    drawn = {}
     for axis, name in zip(axes, held, strict=True):
         others = {key: value for key, value in held.items() if key != name}
-        series: dict[str, list[tuple[float, float]]] = {}
-        for row in rows:
+        series: dict[str, dict[int, float]] = {}
+        for row in sorted(rows, key=lambda row: row["points"]):  # of an order, the row of most points stays
             # Higher orders have fewer points, for memory's sake.
-            if all(row[key] == value for key, value in others.items() if (name, key) != ("order", "points")):
-                label = f"{row['basis']}, {row['verb']}, {row['dtype']}"
-                if name != "order" or row["points"] in (10_000, 20_000, 100_000):
-                    series.setdefault(label, []).append((row[name], row["ns"]))
+            alike = all(row[key] == value for key, value in others.items() if (name, key) != ("order", "points"))
+            if alike and (name == "points" or 10_000 <= row["points"] <= held["points"]):
+                series.setdefault(_label(row), {})[row[name]] = row["ns"]
         for label, points in sorted(series.items()):
-            best = dict(sorted(points))
-            if len(best) > 1:
-                axis.plot(list(best), list(best.values()), marker="o", markersize=3, label=label)
+            if len(points) > 1:
+                found = axis.plot(*zip(*sorted(points.items()), strict=True), colours[label], marker="o", markersize=3)
+                drawn[label] = found[0]
         axis.set(xlabel=name, yscale="log")
         if name != "order":
             axis.set_xscale("log")
     axes[0].set_ylabel("time [ns a point and function]")
-    handles, labels = axes[0].get_legend_handles_labels()
-    if handles:
-        axes[0].legend(handles, labels, fontsize=6)
+    if drawn:
+        figure.legend(drawn.values(), drawn, loc="outside right center", fontsize=7)
     figure.savefig(path, dpi=120)
     plt.close(figure)
+
+
+def _label(row: dict[str, Any]) -> str:
+    return f"{row['basis']}, {row['verb']}, {row['dtype']}"
