@@ -23,7 +23,6 @@ from hshjax.samples import Samples
 STEP = 2**16
 """Samples that one call of the compiled program folds, on every device."""
 
-
 ANEW = "take another folder for the checkpoint, or empty it to begin anew"
 
 ENTRIES = "numbers", "total", "kind", "last"

@@ -1,26 +1,25 @@
 """Samples in blocks: from arrays of which a slice at a time is read, checked, cut to one size."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
-from contextlib import contextmanager
 from typing import Any, overload
 
 import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array
+from hshjax.fitting._parts import PartError, naming
 from hshjax.geometry import common_dtype
 from hshjax.samples import Samples
 
 
-class BlockError(ValueError):
+class BlockError(PartError):
     """A block of samples that cannot be used, or that is missing: `block` is its number from 0."""
 
-    def __init__(self, block: int, message: str):
-        super().__init__(block, message)
-        self.block, self.message = block, message
+    what = "block"
 
-    def __str__(self) -> str:
-        return f"block {self.block}: {self.message}"
+    @property
+    def block(self) -> int:
+        return self.number
 
 
 class SampleBlocks(Sequence[Samples]):
@@ -120,13 +119,13 @@ def _numbered(blocks: Iterable[Any], wanted: Callable[[int], bool] | None) -> It
     """Those that are wanted, as they come; see `read_blocks`."""
     if wanted is not None and isinstance(blocks, Sequence):
         for number in filter(wanted, range(len(blocks))):
-            with _naming(number):
+            with naming(f"block {number} of samples"):
                 block = blocks[number]
             yield number, block
         return
     number, source = 0, iter(blocks)
     while True:
-        with _naming(number):
+        with naming(f"block {number} of samples"):
             try:
                 block = next(source)
             except StopIteration:
@@ -136,18 +135,6 @@ def _numbered(blocks: Iterable[Any], wanted: Callable[[int], bool] | None) -> It
         number += 1
     if isinstance(blocks, Sized) and len(blocks) != number:
         raise BlockError(number, f"expected {len(blocks)} blocks, as many as their length says, got {number}")
-
-
-@contextmanager
-def _naming(number: int) -> Iterator[None]:
-    """What reading raises tells at which block."""
-    try:
-        yield
-    except BlockError:
-        raise
-    except Exception as error:
-        error.add_note(f"while block {number} of samples was read")
-        raise
 
 
 def regrouped(blocks: Iterable[Samples], rows: int) -> Iterator[Samples]:

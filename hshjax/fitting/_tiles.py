@@ -1,23 +1,23 @@
 """Pixels in tiles, from arrays of which a slice at a time is read, or from whatever yields them."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from itertools import chain
 from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from hshjax.fitting._parts import PartError, naming
 
-class TileError(ValueError):
+
+class TileError(PartError):
     """A tile of pixels that cannot be used, or that is missing: `tile` is its number from 0."""
 
-    def __init__(self, tile: int, message: str):
-        super().__init__(tile, message)
-        self.tile, self.message = tile, message
+    what = "tile"
 
-    def __str__(self) -> str:
-        return f"tile {self.tile}: {self.message}"
+    @property
+    def tile(self) -> int:
+        return self.number
 
 
 class Tile(NamedTuple):
@@ -51,11 +51,11 @@ class Tiles:
             if len(shape) != 3 or shape[1] != lights or 0 in shape:
                 raise ValueError(f"photographs must be (pixels, {lights} lights, channels), got {shape}")
             self.pixels = shape[0]
-            with _naming(0):
+            with naming("tile 0 of pixels"):
                 first = np.asarray(source[0:1])
         else:
             self._tiles = iter(source)
-            with _naming(0):
+            with naming("tile 0 of pixels"):
                 first = np.asarray(next(self._tiles, np.zeros((0, lights, 0))))
             self._tiles = chain([first], self._tiles)
         self._check(0, first, None)
@@ -89,7 +89,7 @@ class Tiles:
         for number in filter(wanted, range(len(self))):
             start = number * self._rows
             stop = min(start + self._rows, pixels)
-            with _naming(number):
+            with naming(f"tile {number} of pixels"):
                 values = np.asarray(self._source[start:stop])
             if len(values) != stop - start:  # a file may have become shorter than its header says
                 raise TileError(number, f"expected {stop - start} pixels from {start} on, got {len(values)}")
@@ -98,7 +98,7 @@ class Tiles:
     def _yielded(self, wanted: Callable[[int], bool]) -> Iterator[Tile]:
         number = start = 0
         while True:
-            with _naming(number):
+            with naming(f"tile {number} of pixels"):
                 try:
                     values = np.asarray(next(self._tiles))
                 except StopIteration:
@@ -128,13 +128,3 @@ def finite_values(tile: Tile, dtype: np.dtype, used: np.ndarray) -> np.ndarray:
             f"{light}: give that light the weight 0, or fill them in",
         )
     return values
-
-
-@contextmanager
-def _naming(number: int) -> Iterator[None]:
-    """What reading raises tells at which tile."""
-    try:
-        yield
-    except Exception as error:
-        error.add_note(f"while tile {number} of pixels was read")
-        raise
