@@ -7,7 +7,7 @@ process watches the beats of all, and what it has to say of a lost one ends the 
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import Event, Thread
 from typing import Any
 
@@ -172,6 +172,13 @@ class Processes:
                 time.sleep(FAREWELL)
                 return
             time.sleep(PAUSE)
+
+
+def check_same_call(calls: Sequence[Any]) -> None:
+    """ValueError, naming the first process that differs, unless all of a mesh say the same of their call."""
+    for k, call in enumerate(calls):
+        if call != calls[0]:
+            raise ValueError(f"process {k} of the mesh makes another call, {call}, than the first, {calls[0]}")
 
 
 def _client() -> Any:

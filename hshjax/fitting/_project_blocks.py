@@ -25,7 +25,7 @@ from hshjax.fitting._mesh import own_mesh
 from hshjax.fitting._misfit import ratio
 from hshjax.fitting._norms import Norm, named_norm
 from hshjax.fitting._prior import Prior, penalty
-from hshjax.fitting._processes import Processes
+from hshjax.fitting._processes import Processes, check_same_call
 from hshjax.fitting._project import posterior_of, solve_factor
 from hshjax.fitting._result import Fit
 from hshjax.fitting._sample_blocks import check_source
@@ -129,10 +129,8 @@ def _advice(checkpoint: str | PathLike | None) -> str:
 def _together(basis: AbstractPairBasis, norm: Norm, found: list[bytes]) -> bytes:
     """The state of all processes from that of each."""
     sums, states = BlockSums(basis, norm), [unpacked(one) for one in found]
-    runs = [str(state["run"]) for state in states]
+    check_same_call([str(state["run"]) for state in states])
     for k, state in enumerate(states):
-        if runs[k] != runs[0]:
-            raise ValueError(f"process {k} of the mesh makes another call, {runs[k]}, than the first, {runs[0]}")
         sums.include(state, f"process {k} of the mesh")
     return packed(sums.state())
 

@@ -24,7 +24,7 @@ from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
 from hshjax.fitting._light_design import LightDesign, fit_pixels
 from hshjax.fitting._mesh import own_mesh
 from hshjax.fitting._prior import Prior
-from hshjax.fitting._processes import Processes
+from hshjax.fitting._processes import Processes, check_same_call
 from hshjax.fitting._tile_results import TileResults
 from hshjax.fitting._tiles import TileError, Tiles, finite_values
 
@@ -125,11 +125,7 @@ def project_pixels(
         def create(found: list[bytes]) -> bytes:
             """What the first process does for all."""
             calls = [json.loads(one) for one in found]
-            for k, (call, _) in enumerate(calls):
-                if call != calls[0][0]:
-                    raise ValueError(
-                        f"process {k} of the mesh makes another call, {call}, than the first, {calls[0][0]}"
-                    )
+            check_same_call([call for call, _ in calls])
             results.create(shape, dtype, anew=not any(done for _, done in calls))
             return b""
 
