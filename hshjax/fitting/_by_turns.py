@@ -51,22 +51,17 @@ def by_turns(
     wide = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
 
     def serve(device: Any) -> None:
+        k = -1  # of no item yet
         try:
-            serve_on(device)
-        except BaseException as error:  # or it would be waited for without end
-            done.put((-1, None, error))
-
-    def serve_on(device: Any) -> None:
-        with jax.default_device(device), jax.enable_x64(wide):  # which are each thread's own
-            while not stop.is_set():
-                try:
-                    k, item = todo.get_nowait()
-                except queue.Empty:
-                    return
-                try:
+            with jax.default_device(device), jax.enable_x64(wide):  # which are each thread's own
+                while not stop.is_set():
+                    try:
+                        k, item = todo.get_nowait()
+                    except queue.Empty:
+                        return
                     done.put((k, work(item), None))
-                except BaseException as error:
-                    done.put((k, None, error))
+        except BaseException as error:  # or it would be waited for without end
+            done.put((k, None, error))
 
     # The limit belongs to the process: threads that set and restore it by turns would leave any of their values.
     with suited_threads(0), ThreadPoolExecutor(len(devices)) as pool:
