@@ -21,10 +21,6 @@ jax.config.update("jax_compilation_cache_dir", str(Path(__file__).parents[1] / "
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
-MAPPINGS = 20_000
-"""Of a process, above which compiled programs are dropped. Each one of XLA's maps memory some ten times, and Linux
-grants 65 530 mappings: the program that asks for one more kills its process."""
-
 # Every annotated function of the library checks its shapes while the tests run.
 _hook = install_import_hook("hshjax", "beartype.beartype")
 _hook.__enter__()
@@ -48,9 +44,9 @@ def unchecked():
 
 
 @pytest.fixture(autouse=True, scope="module")
-def few_programs():
-    """Drops compiled programs before the process has too many (`MAPPINGS`)."""
+def programs():
+    """Drops compiled programs before the process has too many."""
     yield
-    table = Path("/proc/self/maps")
-    if table.exists() and table.read_bytes().count(b"\n") > MAPPINGS:
-        jax.clear_caches()
+    from hshjax.fitting._programs import few_programs  # after the hook
+
+    few_programs()

@@ -8,8 +8,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
-import jax
-
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import AbstractBRDF
 from hshjax.fitting._by_turns import by_turns, check_devices
@@ -18,14 +16,11 @@ from hshjax.fitting._folder_plan import Plan, planned
 from hshjax.fitting._folder_results import digest, settled, sweep, write_result
 from hshjax.fitting._folder_summary import line, row, summary, write_summary
 from hshjax.fitting._material import MaterialFit, MaterialModel, fit_material
+from hshjax.fitting._programs import few_programs
 from hshjax.io.folder import Listed
 from hshjax.io.measured import Findings, Negatives, check_negatives
 from hshjax.io.read_material import read_material
 from hshjax.samples import Samples
-
-MAPPINGS = 20_000
-"""Of a process, above which compiled programs are dropped: samples of another number compile their own, each program
-maps memory some ten times, and Linux ends a process at 65 530 mappings."""
 
 
 class FolderItem(NamedTuple):
@@ -105,7 +100,7 @@ def fit_folder(
     rows = dict(plan.rows)
 
     def one(listed: Listed) -> dict[str, Any]:
-        _few_programs()
+        few_programs()  # samples of another number compile their own
         return _fitted(listed, target / listed.name, options, negatives, settings, finish)
 
     def told() -> dict[str, Any]:
@@ -194,10 +189,3 @@ def _of_material(error: Exception) -> str:
     if isinstance(error, OSError | ValueError | RuntimeError | MemoryError):  # those of jax are RuntimeErrors
         return " ".join(str(error).split()) or type(error).__name__
     raise error
-
-
-def _few_programs() -> None:
-    """Drops compiled programs before the process has too many (`MAPPINGS`)."""
-    table = Path("/proc/self/maps")
-    if table.exists() and table.read_bytes().count(b"\n") > MAPPINGS:
-        jax.clear_caches()
