@@ -17,8 +17,9 @@ QUICK := --xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=
 FLOAT32 := tests/bases/test_laws.py tests/test_quadrature.py tests/test_geometry.py tests/test_samples.py tests/test_metrics.py
 # Extra arguments of every pytest run: make test PYTEST_ARGS="-x -k basis"
 PYTEST_ARGS ?=
-# Of all readers together: make fuzz FUZZ_SECONDS=3600
+# Of all readers together, with other damages: make fuzz FUZZ_SECONDS=3600 FUZZ_SEED=0
 FUZZ_SECONDS ?= 60
+FUZZ_SEED ?= 1
 # Interpreters of `make test-matrix`.
 MATRIX := 3.11 3.12 3.13
 
@@ -78,7 +79,7 @@ check-floors: $(VENV)/.installed-check
 	$(PYTEST) -q tests/test_layers.py
 
 fuzz: $(VENV)/.installed-fuzz ## Readers under random damage for FUZZ_SECONDS [60], by atheris, or Hypothesis without it
-	$(PYTHON_IN_VENV) -m tests.fuzz --seconds $(FUZZ_SECONDS)
+	$(PYTHON_IN_VENV) -m tests.fuzz --seconds $(FUZZ_SECONDS) --seed $(FUZZ_SEED)
 
 lock: $(VENV)/.installed ## Resolve pyproject.toml into uv.lock anew
 	$(UV) lock --upgrade

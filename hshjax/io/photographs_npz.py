@@ -56,7 +56,7 @@ def read_photographs_npz(
                 check_expansion(path, f"archive, {one.filename!r}", one.file_size, one.compress_size)
             check_expansion(path, "archive", sum(one.file_size for one in members), os.fstat(file.fileno()).st_size)
             others = [key for key in archive.files if key not in KEYS]
-            arrays = {key: archive[key] for key in KEYS if key in archive.files}
+            arrays = {key: _array(path, key, archive[key]) for key in KEYS if key in archive.files}
         except FileFormatError:
             raise
         except ValueError as error:  # objects, and what is no array at all
@@ -109,6 +109,13 @@ def read_photographs_npz(
         encoding=encoding,
         notes=notes,
     )
+
+
+def _array(path: str | PathLike, key: str, member: object) -> np.ndarray:
+    """A member of an archive, which numpy gives as bytes where they do not begin as an array does."""
+    if not isinstance(member, np.ndarray):
+        raise FileFormatError(path, f"array {key!r}", "an array of numpy (.npy)", "other bytes")
+    return member
 
 
 class _Arrays:

@@ -1,6 +1,6 @@
 """Every reader, each in a process of its own, for a share of the time; as many at once as there are processors.
 
-    python -m tests.fuzz [--seconds 60] [--runs 100000] [NAME ...]
+    python -m tests.fuzz [--seconds 60] [--runs 100000] [--seed 1] [NAME ...]
 
 With atheris (dependency group `fuzz`) inputs are led by what they reach in `hshjax.io`; without it, Hypothesis draws
 damages of a good file. What a reader must not do (see `tests.io.hostile.outcome`), and a reader that was never run, end
@@ -29,6 +29,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60, help="of all readers together, beside starting them")
     parser.add_argument("--runs", type=int, default=100_000, help="of each reader at most")
+    parser.add_argument("--seed", type=int, default=1, help="of the damages, 0: of the time")
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"some of {', '.join([*MEASURED, *OTHERS])}")
     options = parser.parse_args()
     names = options.names or [*MEASURED, *OTHERS]
@@ -37,13 +38,14 @@ def main() -> int:
         parser.error(f"no such reader: {', '.join(sorted(unknown))}")
     share = max(1, round(options.seconds / len(names)))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return int(not all(pool.map(lambda name: fuzzed(name, share, options.runs), names)))
+        return int(not all(pool.map(lambda name: fuzzed(name, share, options.runs, options.seed), names)))
 
 
-def fuzzed(name: str, seconds: int, runs: int) -> bool:
+def fuzzed(name: str, seconds: int, runs: int, seed: int) -> bool:
     """Whether a reader was run and has no fault; said on standard output."""
     with tempfile.TemporaryDirectory(dir=MEMORY if MEMORY.is_dir() else None) as folder:
-        command = [sys.executable, "-W", "ignore", "-m", "tests.fuzz.one", name, str(seconds), str(runs), folder]
+        limits = map(str, (seconds, runs, seed))
+        command = [sys.executable, "-W", "ignore", "-m", "tests.fuzz.one", name, *limits, folder]
         try:
             # Libraries of images print what they find wrong, thousands of times: the last lines say how it ended.
             done = subprocess.run(

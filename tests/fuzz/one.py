@@ -1,4 +1,4 @@
-"""One reader under random damage: `python -m tests.fuzz.one NAME SECONDS RUNS FOLDER`; FOLDER is to write in."""
+"""One reader under random damage: `python -m tests.fuzz.one NAME SECONDS RUNS SEED FOLDER`; FOLDER is to write in."""
 
 import sys
 import time
@@ -45,7 +45,7 @@ def check(name: str, good: bytes, readers: tuple[Callable, ...], path: Path) -> 
     return passes
 
 
-def led(name: str, seconds: int, runs: int, folder: Path) -> None:
+def led(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
     """By coverage. Ends the process."""
     import atheris
 
@@ -56,13 +56,13 @@ def led(name: str, seconds: int, runs: int, folder: Path) -> None:
     largest, corpus = limit(name, content), folder / "corpus"
     corpus.mkdir()
     (corpus / "seed").write_bytes(content[:largest])
-    limits = [f"-max_total_time={seconds}", f"-runs={runs}", "-timeout=10", "-rss_limit_mb=0"]
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-seed={start}", "-timeout=10", "-rss_limit_mb=0"]
     passes = check(name, content, readers, folder / "file")
     atheris.Setup([sys.argv[0], *limits, f"-max_len={largest}", "-artifact_prefix=/dev/null", str(corpus)], passes)
     atheris.Fuzz()
 
 
-def drawn(name: str, seconds: int, runs: int, folder: Path) -> None:
+def drawn(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
     """By Hypothesis: pieces of the good file, replaced, repeated or left out."""
     from hypothesis import HealthCheck, given, seed, settings, strategies as st
 
@@ -77,7 +77,7 @@ def drawn(name: str, seconds: int, runs: int, folder: Path) -> None:
 
     while time.monotonic() < end and count < runs:  # Hypothesis has no limit of time: rounds of few examples
 
-        @seed(count)
+        @seed(start + count)
         @settings(max_examples=ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck))
         @given(damage)
         def run(damages):
@@ -110,10 +110,10 @@ def prepared(name: str, folder: Path) -> tuple[bytes, tuple[Callable, ...]]:
 
 
 if __name__ == "__main__":
-    name, seconds, runs, folder = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
+    name, seconds, runs, start, folder = sys.argv[1], *map(int, sys.argv[2:5]), Path(sys.argv[5])
     try:
         import atheris  # noqa: F401  whether it is there
     except ImportError:
-        drawn(name, seconds, runs, folder)
+        drawn(name, seconds, runs, start, folder)
     else:
-        led(name, seconds, runs, folder)
+        led(name, seconds, runs, start, folder)

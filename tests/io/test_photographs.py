@@ -1,6 +1,8 @@
 """Folders with light files, archives, layers: what is read, what is said about it, and what is refused."""
 
+import io
 import shutil
+import zipfile
 
 import jax.numpy as jnp
 import numpy as np
@@ -448,6 +450,18 @@ def test_an_archive_that_calls_itself_encrypted(tmp_path):
     content[content.rindex(b"PK\x01\x02") + 8] |= 1
     (tmp_path / "a.npz").write_bytes(content)
     with pytest.raises(FileFormatError, match=r"a\.npz: archive: expected an intact one .* encrypted"):
+        read_photographs(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("key", ["images", "lights"])
+def test_a_member_of_an_archive_that_is_no_array(tmp_path, key):
+    arrays = archive(tmp_path / "a.npz")
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:  # numpy gives bytes without its magic word as they are
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, array)
+            file.writestr(f"{name}.npy", b"text" if name == key else content.getvalue())
+    with pytest.raises(FileFormatError, match=rf"a\.npz: array '{key}': expected an array"):
         read_photographs(tmp_path / "a.npz")
 
 
