@@ -38,7 +38,8 @@ def main() -> int:
         parser.error(f"no such reader: {', '.join(sorted(unknown))}")
     share = max(1, round(options.seconds / len(names)))
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return int(not all(pool.map(lambda name: fuzzed(name, share, options.runs, options.seed), names)))
+        good = list(pool.map(lambda name: fuzzed(name, share, options.runs, options.seed), names))
+    return int(not all(good))
 
 
 def fuzzed(name: str, seconds: int, runs: int, seed: int) -> bool:

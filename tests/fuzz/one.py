@@ -4,11 +4,12 @@ import sys
 import time
 import zlib
 from collections.abc import Callable
+from itertools import count
 from pathlib import Path
 
 FAULTS = Path(".fuzz")
 ROUND = 100
-"""Examples that Hypothesis draws at once."""
+"""Examples that Hypothesis draws at once, and runs for which memory is limited once."""
 
 LARGEST = 2**16
 """Bytes of an input; twice those of the good file where that is larger."""
@@ -29,9 +30,13 @@ def sized(name: str, good: bytes, changed: bytes) -> bytes:
 
 def check(name: str, good: bytes, readers: tuple[Callable, ...], path: Path) -> Callable[[bytes], None]:
     """What an input must pass: AssertionError where a reader does what it must not do, after keeping the input."""
-    from tests.io.hostile_process import wrong
+    from tests.io.hostile_process import limit_memory, wrong
+
+    runs = count()
 
     def passes(changed: bytes) -> None:
+        if next(runs) % ROUND == 0:  # what the fuzzer itself keeps does not count
+            limit_memory()
         content = sized(name, good, changed)
         path.write_bytes(content)
         for read in readers:
@@ -67,7 +72,7 @@ def drawn(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
     from hypothesis import HealthCheck, given, seed, settings, strategies as st
 
     content, readers = prepared(name, folder)
-    passes, end, count = check(name, content, readers, folder / "file"), time.monotonic() + seconds, 0
+    passes, end, done = check(name, content, readers, folder / "file"), time.monotonic() + seconds, 0
     word = st.one_of(
         st.binary(max_size=16),
         st.sampled_from([b"\xff\xff\xff\x7f", b"\xff" * 8, bytes(8), b"nan", b"-1", b"1e999", b"\n", b",", b"0" * 400]),
@@ -75,9 +80,9 @@ def drawn(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
     place = st.integers(0, len(content))
     damage = st.lists(st.tuples(place, st.integers(0, 64), word, st.integers(0, 3)), min_size=1, max_size=6)
 
-    while time.monotonic() < end and count < runs:  # Hypothesis has no limit of time: rounds of few examples
+    while time.monotonic() < end and done < runs:  # Hypothesis has no limit of time: rounds of few examples
 
-        @seed(start + count)
+        @seed(start + done)
         @settings(max_examples=ROUND, deadline=None, database=None, suppress_health_check=list(HealthCheck))
         @given(damage)
         def run(damages):
@@ -88,15 +93,14 @@ def drawn(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
             passes(changed[: limit(name, content)])
 
         run()
-        count += ROUND
-    print(f"Done {count} runs, drawn by Hypothesis")
+        done += ROUND
+    print(f"Done {done} runs, drawn by Hypothesis")
 
 
 def prepared(name: str, folder: Path) -> tuple[bytes, tuple[Callable, ...]]:
-    """The good file and its readers, which have read it once; memory is limited from then on."""
+    """The good file and its readers, which have read it once."""
     import jax
 
-    from tests.io.hostile_process import limit_memory
     from tests.io.seeds import seeds
 
     jax.config.update("jax_enable_x64", True)
@@ -105,7 +109,6 @@ def prepared(name: str, folder: Path) -> tuple[bytes, tuple[Callable, ...]]:
     path.write_bytes(content)
     for read in readers:
         read(path)
-    limit_memory()
     return content, readers
 
 

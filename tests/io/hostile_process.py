@@ -53,8 +53,8 @@ def limit_memory() -> None:
     """From here on, `MEMORY` more than there is now: what needs more is a MemoryError."""
     with open("/proc/self/statm") as status:
         pages = int(status.read().split()[0])
-    limit = pages * resource.getpagesize() + MEMORY
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY, hard))
 
 
 def wrong(read, path: Path, *, refused: bool = False) -> str | None:
