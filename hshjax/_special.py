@@ -2,25 +2,22 @@
 
 A basis function is (a polynomial in z) x (Re | Im of a complex power). This module holds both halves:
 
-* `RadialTables` and `radial_fold`: polynomials p_j^m orthonormal for a weight of the azimuthal order m, by their
+* `RadialTables` and `recurrence`: polynomials p_j^m orthonormal for a weight of the azimuthal order m, by their
   three-term recurrence, with coefficients computed on the host in float64;
-* `azimuthal_fold`: the powers s^m of a complex number, from s² and s, so that even powers never see a square root.
+* `powers`: s^m of a complex number, from s² and s, so that even powers never see a square root.
 
-Both are loops inside the compiled program, so compile time does not grow with the order. Trip counts depend on m;
-`exact=True` runs just the steps that are needed (fast, forward differentiable), `exact=False` pads every m to the
-longest (reverse differentiable too; the padding multiplies zeros). `blockwise` keeps the working set in the cache.
+Both are loops inside the compiled program, differentiable in both modes: compile time does not grow with the order.
+`blockwise` keeps the working set in the cache.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._typing import Array, Float, Int, Real
-
-Carry = TypeVar("Carry")
+from hshjax._typing import Array, Float, Real
 
 
 class RadialTables(NamedTuple):
@@ -34,6 +31,13 @@ class RadialTables(NamedTuple):
     shift: np.ndarray
     back: np.ndarray
     counts: np.ndarray  # (orders,) int32
+
+    def steps(self) -> np.ndarray:
+        """Those of `recurrence` for all degrees of every order, `(orders, degrees, 4)`; 0 past an order's count."""
+        steps = np.stack([self.slope, self.shift, self.back, np.zeros_like(self.slope)], -1)
+        steps[:, 0] = 0
+        steps[:, 0, 3] = self.start
+        return steps
 
 
 def radial_tables(
@@ -92,79 +96,45 @@ def stieltjes_matrix(nodes: np.ndarray, weights: np.ndarray, n: int) -> tuple[np
     return alpha, beta
 
 
-def radial_fold(
-    tables: RadialTables,
-    m: Int[Array, ""],
-    x: Real,
-    carry: Carry,
-    visit: Callable[[Int[Array, ""], Real, Carry], Carry],
-    *,
-    exact: bool,
-) -> Carry:
-    """Fold `visit(j, p_j^m(x), carry)` over j = 0, 1, ... counts[m] - 1."""
-    start, slope, shift, back = (jnp.asarray(table, x.dtype) for table in tables[:4])
-    stop = jnp.asarray(tables.counts)[m] if exact else tables.slope.shape[1]
+def recurrence(
+    steps: np.ndarray, x: Float[Array, " points"], starts: Float[Array, "recurrences points"] | None = None
+) -> Float[Array, "steps points"]:
+    """q_i = (slope_i x + shift_i) q_{i-1} - back_i q_{i-2} + start_i, with a row of `steps` `(steps, 4)` for each i.
 
-    def step(j, state):
-        previous, current, carry = state
-        carry = visit(j, current, carry)
-        following = (slope[m, j + 1] * x + shift[m, j + 1]) * current - back[m, j + 1] * previous
-        return current, following, carry
+    Where the first three are 0 another recurrence begins: many of them are one loop, of one kernel, which takes as long
+    to compile as one of them. `starts`: of every recurrence, in their order, what its start is multiplied by.
+    """
+    begins = steps[:, 3] != 0
+    which = jnp.asarray(np.maximum(np.cumsum(begins) - 1, 0), jnp.int32)
 
-    # One column more, so that the step past the last degree reads a zero instead of being clamped to a wrong entry.
-    slope, shift, back = (jnp.pad(table, ((0, 0), (0, 1))) for table in (slope, shift, back))
-    first = jnp.broadcast_to(start[m], x.shape)
-    return jax.lax.fori_loop(0, stop, step, (jnp.zeros_like(x), first, carry))[2]
+    def step(state, row):
+        before, last = state
+        (slope, shift, back, start), recurrence = row
+        begun = start if starts is None else start * starts[recurrence]
+        following = (slope * x + shift) * last + (begun - back * before)
+        return (last, following), following
 
-
-def azimuthal_fold(
-    square: tuple[Real, Real],
-    odd: tuple[Real, Real],
-    orders: int,
-    carry: Carry,
-    visit: Callable[[Int[Array, ""], Real, Real, Carry], Carry],
-) -> Carry:
-    """Fold `visit(m, Re s^m, Im s^m, carry)` over m = 0 ... orders - 1, given s² and s as (real, imaginary)."""
-
-    def multiply(a, b):
-        return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
-
-    def step(m, state):
-        even, power, carry = state
-        re, im = power
-        carry = visit(m, re, im, carry)
-        next_even = multiply(even, square)
-        after_odd = m % 2 == 1
-        power = jax.tree.map(lambda a, b: jnp.where(after_odd, a, b), next_even, multiply(even, odd))
-        even = jax.tree.map(lambda a, b: jnp.where(after_odd, a, b), next_even, even)
-        return even, power, carry
-
-    one = (jnp.ones_like(square[0]), jnp.zeros_like(square[0]))
-    return jax.lax.fori_loop(0, orders, step, (one, one, carry))[2]
+    return jax.lax.scan(step, (jnp.zeros_like(x), jnp.zeros_like(x)), (jnp.asarray(steps, x.dtype), which))[1]
 
 
 def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array, "orders degrees points"]:
     """Every p_j^m(x); entries past an order's count are zero."""
-    start, *columns = (jnp.asarray(table, x.dtype) for table in tables[:4])
-    present = jnp.asarray(np.arange(tables.slope.shape[1])[:, None] < tables.counts[None, :])
+    steps = tables.steps()
+    return recurrence(steps.reshape(-1, 4), x).reshape(*steps.shape[:2], x.size)
 
-    def step(state, coefficients):
-        previous, current = state
-        slope, shift, back, here = coefficients
-        following = (slope[:, None] * x[None] + shift[:, None]) * current - back[:, None] * previous
-        following = jnp.where(here[:, None], following, 0)
-        return (current, following), following
 
-    first = jnp.broadcast_to(start[:, None], (start.size, x.size))
-    columns = [*(column.T[1:] for column in columns), present[1:]]
-    _, rest = jax.lax.scan(step, (jnp.zeros_like(first), first), tuple(columns))
-    return jnp.swapaxes(jnp.concatenate([first[None], rest]), 0, 1)
+def multiply(a: tuple[Real, Real], b: tuple[Real, Real]) -> tuple[Real, Real]:
+    """The product of two complex numbers."""
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
 
 
 def powers(square: tuple[Real, Real], odd: tuple[Real, Real], orders: int) -> Float[Array, "2 orders points"]:
-    """(Re, Im) of s^m for m < orders, given s² and s."""
-    rows = jnp.zeros((2, orders, square[0].size), square[0].dtype)
-    return azimuthal_fold(square, odd, orders, rows, lambda m, re, im, rows: rows.at[:, m].set(jnp.stack([re, im])))
+    """(Re, Im) of s^m for m < orders, given s² and s: even powers never see s, which may be a square root."""
+    one = (jnp.ones_like(square[0]), jnp.zeros_like(square[0]))
+    even = jax.lax.scan(lambda power, _: (multiply(power, square), power), one, length=(orders + 1) // 2)[1]
+    of_all = odd[0][None], odd[1][None]
+    by_parity = [jnp.stack(parts, axis=1) for parts in zip(even, multiply(even, of_all), strict=True)]
+    return jnp.stack(by_parity).reshape(2, 2 * len(even[0]), *square[0].shape)[:, :orders]
 
 
 def blockwise(function: Callable[..., Array], block: int, *arrays: Array) -> Array:

@@ -14,15 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from hshjax._special import RadialTables, azimuthal_fold, blockwise, powers, radial_fold
+from hshjax._special import RadialTables, blockwise
 from hshjax._typing import Array, Float, Real
-from hshjax.bases import _written_out
+from hshjax.bases import _series, _written_out
+from hshjax.bases._rows import by_function, rows
 from hshjax.geometry import as_directions, common_dtype
 
 BLOCK = 1024
-"""Points a block: three channels of order 16 then stay in the second-level cache."""
-
-ROWS_BLOCK = 4096
 """Points a block of rows that are summed at once."""
 
 
@@ -129,147 +127,35 @@ def check_modes(basis, coefficients: Array) -> None:
         )
 
 
-# The loops. `exact` trip counts are faster, padded ones can be differentiated in reverse; see hshjax/_special.py.
-
-
-def _block_rows(basis: AbstractBasis, exact: bool, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
-    tables, chart = basis.tables(), basis.chart(w)
-    columns = jnp.asarray(basis.columns())
-
-    def visit_order(m, re, im, rows):
-        def visit_degree(j, p, rows):
-            rows = rows.at[columns[m, j, 1]].set(p * im, mode="drop")
-            return rows.at[columns[m, j, 0]].set(p * re, mode="drop")
-
-        return radial_fold(tables, m, chart.x, rows, visit_degree, exact=exact)
-
-    rows = jnp.zeros((basis.count, w.shape[0]), w.dtype)
-    return azimuthal_fold(chart.square, chart.odd, len(tables.start), rows, visit_order).T
-
-
-def _block_sums(basis: AbstractBasis, exact: bool, coefficients: Array, w: Float[Array, "points 3"]) -> Array:
-    tables, chart = basis.tables(), basis.chart(w)
-    table = _by_order(basis, coefficients)
-
-    def visit_order(m, re, im, total):
-        def visit_degree(j, p, parts):
-            return parts + table[m, j][..., None] * p[None, None]
-
-        parts = radial_fold(tables, m, chart.x, jnp.zeros((2, *total.shape), total.dtype), visit_degree, exact=exact)
-        return total + parts[0] * re[None] + parts[1] * im[None]
-
-    total = jnp.zeros((coefficients.shape[1], w.shape[0]), w.dtype)
-    return azimuthal_fold(chart.square, chart.odd, len(tables.start), total, visit_order).T
-
-
-def _by_order(basis: AbstractBasis, coefficients: Float[Array, "modes channels"]) -> Array:
-    """Coefficients by (m, j, cosine | sine), `(orders, degrees, 2, channels)`; 0 where there is no function."""
-    padded = jnp.concatenate([coefficients, jnp.zeros((1, coefficients.shape[1]), coefficients.dtype)])
-    return padded[jnp.asarray(basis.columns())]
-
-
-def _block_gradients(basis: AbstractBasis, exact: bool, coefficients: Array, w: Array) -> Array:
-    """∂/∂w of the sums, `(points, channels, 3)`.
-
-    Radial functions depend on the radial variable alone: one tangent goes through their loop, three through the powers.
-    """
-    tables, table = basis.tables(), _by_order(basis, coefficients)
-    orders, channels, x = len(tables.start), coefficients.shape[1], basis.chart(w).x
-
-    def charted(w):
-        chart = basis.chart(w)
-        return chart.x, powers(chart.square, chart.odd, orders)
-
-    power = charted(w)[1]
-    d_x, d_power = jax.vmap(lambda axis: jax.jvp(charted, (w,), (jnp.broadcast_to(axis, w.shape),))[1])(
-        jnp.eye(3, dtype=w.dtype)
-    )
-
-    def visit_order(m, total):
-        def parts_at(x):
-            zeros = jnp.zeros((2, channels, w.shape[0]), w.dtype)
-            return radial_fold(
-                tables, m, x, zeros, lambda j, p, parts: parts + table[m, j][..., None] * p[None, None], exact=exact
-            )
-
-        parts, slopes = jax.jvp(parts_at, (x,), (jnp.ones_like(x),))
-        turned = parts[0, None] * d_power[:, 0, m, None] + parts[1, None] * d_power[:, 1, m, None]
-        run = slopes[0] * power[0, m, None] + slopes[1] * power[1, m, None]
-        return total + turned + d_x[:, None] * run[None]
-
-    total = jax.lax.fori_loop(0, orders, visit_order, jnp.zeros((3, channels, w.shape[0]), w.dtype))
-    return jnp.moveaxis(total, (0, 1, 2), (2, 1, 0))
-
-
-def differentiable(block_function):
-    """`block_function(basis, exact, *arrays)` as a function of (basis, *arrays).
-
-    Exact trip counts for values; padded ones wherever a derivative is taken, so that every order of it exists.
-    """
-
-    @partial(jax.custom_jvp, nondiff_argnums=(0,))
-    def run(basis, *args):
-        return block_function(basis, True, *args)
-
-    @run.defjvp
-    def _(basis, primals, tangents):
-        return jax.jvp(partial(block_function, basis, False), primals, tangents)
-
-    return run
-
-
-_rows_of_block = differentiable(_block_rows)
-_gradients_of_block = differentiable(_block_gradients)
-
-
-def written_out_if(short, written_out, loops):
-    """`written_out(basis, *arrays)` where `short` says so, else `loops`, of which derivatives are taken in any case."""
-
-    @partial(jax.custom_jvp, nondiff_argnums=(0,))
-    def run(basis, *args):
-        return (written_out if short(basis, *args) else loops)(basis, *args)
-
-    @run.defjvp
-    def _(basis, primals, tangents):
-        return jax.jvp(partial(loops, basis), primals, tangents)
-
-    return run
-
-
-def _looped_rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
-    return blockwise(partial(_rows_of_block, basis), BLOCK, w)
-
-
-def _looped_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    return blockwise(partial(_block_sums, basis, True, coefficients), BLOCK, w)
-
-
-def _looped_gradients(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    return blockwise(partial(_gradients_of_block, basis, coefficients), BLOCK, w)
-
-
-def _short(basis: AbstractBasis, coefficients: Array, w: Array) -> bool:
-    return _written_out.short(basis.count, coefficients.shape[1])
-
-
-def _short_rows(basis: AbstractBasis, w: Array) -> bool:
-    return _written_out.short(basis.count, _written_out.AS_ROWS)
-
-
-_quick_rows = written_out_if(_short_rows, _written_out.rows, _looped_rows)
-_quick_rows_by_mode = written_out_if(
-    _short_rows, _written_out.rows_by_mode, lambda basis, w: _rows_of_block(basis, w).T
-)
-_quick_gradients = written_out_if(_short, _written_out.gradients, _looped_gradients)
-
 # Compiled once for a basis and a shape, also where a user calls without jit: the loops are new functions at every call.
-_rows = jax.jit(_quick_rows, static_argnums=0)
+
+_rows = jax.jit(rows, static_argnums=0)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _gradients(basis: AbstractBasis, coefficients: Array, w: Array) -> Float[Array, "points channels 3"]:
+    return _series.gradients(basis, coefficients, w)
+
+
+@_gradients.defjvp
+def _(basis, primals, tangents):
+    def along(axis):
+        """Along an axis, in operations that can be differentiated again."""
+
+        def of(coefficients, w):
+            sums = partial(_series.differentiable_sums, basis, coefficients)
+            return jax.jvp(sums, (w,), (jnp.broadcast_to(axis, w.shape),))[1]
+
+        return jax.jvp(of, primals, tangents)[1]
+
+    tangent = jnp.moveaxis(jax.vmap(along)(jnp.eye(3, dtype=primals[1].dtype)), 0, -1)
+    return _gradients(basis, *primals), tangent
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    sums = _written_out.sums if _short(basis, coefficients, w) else _looped_sums
-    return sums(basis, coefficients, w)
+    short = _written_out.short(basis.count, coefficients.shape[1])
+    return (_written_out.sums if short else _series.sums)(basis, coefficients, w)
 
 
 @partial(_differentiable_sums.defjvp, symbolic_zeros=True)
@@ -280,11 +166,15 @@ def _(basis, primals, tangents):
     value = _differentiable_sums(basis, coefficients, w)
     tangent = jnp.zeros_like(value)
     if not isinstance(d_coefficients, SymbolicZero):
-        # Recomputed, not stored, for the transpose: the rows would be the largest array of the program.
-        product = jax.checkpoint(lambda d, part: matmul(_quick_rows_by_mode(basis, part).T, d))
-        tangent += blockwise(partial(product, d_coefficients), ROWS_BLOCK, w)
+
+        @jax.checkpoint  # recomputed, not stored, for the transpose: rows would be the largest array of the program
+        def product(d, w):
+            functions, columns = by_function(basis, w)
+            return matmul(functions.T, d[jnp.asarray(columns)])
+
+        tangent += blockwise(partial(product, d_coefficients), BLOCK, w)
     if not isinstance(d_w, SymbolicZero):
-        gradient = _quick_gradients(basis, coefficients, w)
+        gradient = _gradients(basis, coefficients, w)
         tangent += jnp.sum(gradient * d_w[:, None, :], axis=-1)
     return value, tangent
 

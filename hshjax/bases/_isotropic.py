@@ -11,6 +11,7 @@ from hshjax._special import powers, radial_rows
 from hshjax._typing import Array
 from hshjax.bases import _written_out
 from hshjax.bases._base import AbstractBasis, Chart, matmul
+from hshjax.bases._kernel import kernel
 from hshjax.bases._pairs import AbstractProductBasis, Entries
 
 PAIR_FUNCTIONS = 512
@@ -87,7 +88,7 @@ class IsotropicBasis(AbstractProductBasis):
         n = self.table()
         # Twice where both indices are one: a matrix that is symmetric but for the sines holds that entry once.
         norm = jnp.asarray(n.norm * (1 + (n.j == n.k)), coefficients.dtype)
-        found = _written_out.kernel(partial(_written_out_sums, self), norm[:, None] * coefficients, wi, wo)
+        found = kernel(partial(_written_out_sums, self), norm[:, None] * coefficients, wi, wo)
         return jnp.stack(found, axis=-1)
 
     def __hash__(self) -> int:

@@ -1,38 +1,24 @@
-"""Short series written out: straight lines of arithmetic that XLA makes one kernel of, where loops pass through memory.
+"""Short series written out: straight lines of arithmetic that XLA makes one kernel of.
 
-At order 8 a sum of three channels takes a quarter of the time of the loops of `hshjax/bases/_base.py`. Programs grow
-with the number of functions, and time to compile with them: `short` says up to where. Values only; derivatives of these
-functions are taken of the loops.
+At order 4 a sum of three channels takes six tenths of the time of `hshjax/bases/_series.py`. Programs grow with the
+number of functions, and time to compile with them: `short` says up to where. Values only: derivatives have ways of
+their own.
 """
 
 from collections.abc import Callable, Iterable
-from functools import partial, reduce
+from functools import reduce
 from operator import add
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hshjax._special import blockwise
+from hshjax._special import multiply
 from hshjax._typing import Array, Float, Real
+from hshjax.bases._kernel import kernel
 
-FUNCTIONS = 256
-"""As many coefficients, of all channels together, are written out at most: about half a second to compile."""
-
-AS_ROWS = 3
-"""Channels that take as long to compile as a design row."""
-
-COLUMNS = 4
-"""Columns of design rows that one kernel writes: a vector register."""
-
-WHOLE = 2**27
-"""Values of design rows times their number of columns, so many as are made at once: what all kernels run through."""
-
-VALUES = 2**18
-"""Values of a block of them, about, where there are more."""
-
-MODES = 8
-"""The same of transposed rows."""
+FUNCTIONS = 128
+"""As many coefficients, of all channels together, are written out at most: beyond, products of matrices take less."""
 
 Pair = tuple[Array, Array]
 
@@ -40,24 +26,6 @@ Pair = tuple[Array, Array]
 def short(functions: int, channels: int, limit: int = FUNCTIONS) -> bool:
     """Whether a series of so many functions is to be written out."""
     return 0 < functions * channels <= limit
-
-
-def kernel(function: Callable, *arrays: Array):
-    """`function(*arrays)` as a piece of its own, also within a loop.
-
-    XLA's compiler for processors would fuse it with the loop's slices of whole arrays, and then finds no vectors in it.
-    It fuses nothing across a branch, and the predicate of this one is hidden from it. Other devices need none of this.
-    """
-
-    function = jax.jit(function)  # traced once for all that follows
-
-    def branch(*arrays):
-        true = jax.lax.optimization_barrier(jnp.ones((), bool))
-        shape = jax.eval_shape(function, *arrays)
-        zeros = partial(jax.tree.map, lambda one: jnp.zeros(one.shape, one.dtype), shape)
-        return jax.lax.cond(true, function, lambda *_: zeros(), *arrays)
-
-    return jax.lax.platform_dependent(*arrays, cpu=branch, default=function)
 
 
 def radial(basis, x: Real, m: int) -> list[Array]:
@@ -70,29 +38,13 @@ def radial(basis, x: Real, m: int) -> list[Array]:
     return p
 
 
-def radial_slopes(basis, x: Real, m: int, p: list[Array]) -> list[Array]:
-    """p_1' , p_2' ... of the azimuthal order m; p_0 is a constant."""
-    _, slope, shift, back, counts = basis.tables()
-    slopes = []
-    for j in range(1, counts[m]):
-        one = float(slope[m, j]) * p[j - 1]
-        if j > 1:
-            one = one + _line(slope[m, j], shift[m, j], x) * slopes[-1]
-        if j > 2:
-            one = one - float(back[m, j]) * slopes[-2]
-        slopes.append(one)
-    return slopes
-
-
 def _line(slope: float, shift: float, x: Array) -> Array:
     return float(slope) * x + float(shift) if shift else float(slope) * x
 
 
 def times(a: Pair | None, b: Pair | None) -> Pair | None:
     """The product of two complex numbers; None is 1."""
-    if a is None or b is None:
-        return a or b
-    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+    return multiply(a, b) if a is not None and b is not None else a or b
 
 
 def even_powers(square: Pair, orders: int) -> list[Pair | None]:
@@ -137,90 +89,3 @@ def one_by_one(coefficients: Float[Array, " modes"]) -> list[Array]:
 
 def total(terms: Iterable[Array]) -> Array:
     return reduce(add, terms)
-
-
-def rows(basis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
-    """y_1(w) ... y_K(w), a few columns at a time into their place: one kernel for all would pick each value."""
-
-    def of_block(w):
-        return _grouped(_functions(basis, w), COLUMNS, 1)
-
-    # Every kernel runs through the whole result: a large one would come from memory each time, and be held twice.
-    whole = w.shape[0] * basis.count**2 <= WHOLE
-    return kernel(of_block, w) if whole else blockwise(partial(kernel, of_block), VALUES // basis.count, w)
-
-
-def rows_by_mode(basis, w: Float[Array, "points 3"]) -> Float[Array, "modes points"]:
-    """The same, transposed: what a product with them is faster with."""
-    return kernel(lambda w: _grouped(_functions(basis, w), MODES, 0), w)
-
-
-def _functions(basis, w: Float[Array, "points 3"]) -> list[Array]:
-    chart, orders = basis.chart(w), len(basis.tables().start)
-    even = even_powers(chart.square, orders)
-    powers = [times(even[m // 2], chart.odd if m % 2 else None) for m in range(orders)]
-    p = [radial(basis, chart.x, m) for m in range(orders)]
-    found = []
-    for n, m in basis.modes:
-        value, power = p[abs(m)][basis.radial_index(n, m)], powers[abs(m)]
-        found.append(value if power is None else value * power[int(m < 0)])
-    return found
-
-
-def _grouped(values: list[Array], size: int, axis: int) -> Array:
-    """`jnp.stack(values, axis)`, written `size` values at a time."""
-    shape = [values[0].size]
-    shape.insert(axis, len(values))
-    found = jnp.zeros(shape, values[0].dtype)
-    for first in range(0, len(values), size):
-        begin = (0, first) if axis else (first, 0)
-        found = jax.lax.dynamic_update_slice(found, jnp.stack(values[first : first + size], axis), begin)
-    return found
-
-
-def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
-    """∂/∂w of the sums, `(points, channels, 3)`.
-
-    With F = Σ_m A_m(x) Re s^m + B_m(x) Im s^m and s^m = (s²)^q s^r, r = 0 or 1: derivatives by x, s² and s, then those
-    of the chart.
-    """
-
-    columns, orders = basis.columns(), len(basis.tables().start)
-
-    def of_channel(coefficients, chart, moved):
-        even, odd, one = even_powers(chart.square, orders), chart.odd, one_by_one(coefficients)
-        by_x, by_square, by_odd = [], [], []
-        for m in range(orders):
-            p = radial(basis, chart.x, m)
-            slopes = radial_slopes(basis, chart.x, m, p)
-            q, r = divmod(m, 2)
-            power, below = times(even[q], odd if r else None), times(even[q - 1], odd if r else None) if q else None
-            for part in range(2 if m else 1):
-                if slopes:
-                    slope = total(one[column] * f for column, f in zip(columns[m, 1:, part], slopes, strict=False))
-                    by_x.append(slope if power is None else slope * power[part])
-            if m:
-                a, b = (
-                    total(one[column] * f for column, f in zip(columns[m, :, part], p, strict=False)) for part in (0, 1)
-                )
-                if q:
-                    by_square.append(times((q * a, -q * b), below))
-                if r:
-                    by_odd.append(times((a, -b), even[q]))
-
-        def along(by):
-            terms = [total(by_x) * by.x] if by_x else [jnp.zeros_like(chart.x)]
-            for found, change in ((by_square, by.square), (by_odd, by.odd)):
-                if found:
-                    terms.append(total(re for re, _ in found) * change[0] - total(im for _, im in found) * change[1])
-            return total(terms)
-
-        return tuple(map(along, moved))
-
-    def of_block(coefficients, w):
-        axes = [jnp.broadcast_to(axis, w.shape) for axis in jnp.eye(3, dtype=w.dtype)]
-        moved = [jax.jvp(basis.chart, (w,), (axis,))[1] for axis in axes]
-        return [change for one in by_channel(of_channel, coefficients, basis.chart(w), moved) for change in one]
-
-    found = kernel(of_block, coefficients, w)
-    return jnp.stack(found, axis=-1).reshape(*w.shape[:1], coefficients.shape[1], 3)

