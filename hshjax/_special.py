@@ -97,24 +97,25 @@ def stieltjes_matrix(nodes: np.ndarray, weights: np.ndarray, n: int) -> tuple[np
 
 
 def recurrence(
-    steps: np.ndarray, x: Float[Array, " points"], starts: Float[Array, "recurrences points"] | None = None
+    steps: np.ndarray,
+    x: Float[Array, " points"],
+    starts: tuple[Float[Array, "rows points"], np.ndarray] | None = None,
 ) -> Float[Array, "steps points"]:
     """q_i = (slope_i x + shift_i) q_{i-1} - back_i q_{i-2} + start_i, with a row of `steps` `(steps, 4)` for each i.
 
     Where the first three are 0 another recurrence begins: many of them are one loop, of one kernel, which takes as long
-    to compile as one of them. `starts`: of every recurrence, in their order, what its start is multiplied by.
+    to compile as one of them. `starts`: an array, and for each i by which row of it start_i is multiplied.
     """
-    begins = steps[:, 3] != 0
-    which = jnp.asarray(np.maximum(np.cumsum(begins) - 1, 0), jnp.int32)
 
     def step(state, row):
         before, last = state
-        (slope, shift, back, start), recurrence = row
-        begun = start if starts is None else start * starts[recurrence]
+        (slope, shift, back, start), factor = row
+        begun = start if starts is None else start * starts[0][factor]
         following = (slope * x + shift) * last + (begun - back * before)
         return (last, following), following
 
-    return jax.lax.scan(step, (jnp.zeros_like(x), jnp.zeros_like(x)), (jnp.asarray(steps, x.dtype), which))[1]
+    factors = None if starts is None else jnp.asarray(starts[1], jnp.int32)
+    return jax.lax.scan(step, (jnp.zeros_like(x), jnp.zeros_like(x)), (jnp.asarray(steps, x.dtype), factors))[1]
 
 
 def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array, "orders degrees points"]:

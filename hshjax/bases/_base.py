@@ -129,7 +129,22 @@ def check_modes(basis, coefficients: Array) -> None:
 
 # Compiled once for a basis and a shape, also where a user calls without jit: the loops are new functions at every call.
 
-_rows = jax.jit(rows, static_argnums=0)
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _differentiable_rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
+    return (_written_out.rows if _short(basis, _written_out.AS_ROWS) else rows)(basis, w)
+
+
+@_differentiable_rows.defjvp
+def _(basis, primals, tangents):
+    return jax.jvp(partial(rows, basis), primals, tangents)
+
+
+_rows = jax.jit(_differentiable_rows, static_argnums=0)
+
+
+def _short(basis: AbstractBasis, channels: int) -> bool:
+    return _written_out.short(basis.count, channels)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -154,8 +169,8 @@ def _(basis, primals, tangents):
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    short = _written_out.short(basis.count, coefficients.shape[1])
-    return (_written_out.sums if short else _series.sums)(basis, coefficients, w)
+    sums = _written_out.sums if _short(basis, coefficients.shape[1]) else _series.sums
+    return sums(basis, coefficients, w)
 
 
 @partial(_differentiable_sums.defjvp, symbolic_zeros=True)
@@ -169,6 +184,8 @@ def _(basis, primals, tangents):
 
         @jax.checkpoint  # recomputed, not stored, for the transpose: rows would be the largest array of the program
         def product(d, w):
+            if _short(basis, _written_out.AS_ROWS):
+                return matmul(_written_out.rows_by_mode(basis, w).T, d)
             functions, columns = by_function(basis, w)
             return matmul(functions.T, d[jnp.asarray(columns)])
 

@@ -18,7 +18,7 @@ class _Order(NamedTuple):
 
     steps: np.ndarray  # (modes, 4)
     columns: np.ndarray  # (modes,), their columns in the basis
-    powers: np.ndarray  # (recurrences,): which power of s starts one, in `powers` with its first two axes made one
+    powers: np.ndarray  # (modes,): Re or Im s^m, in `powers` with its first two axes made one
 
 
 @lru_cache
@@ -29,7 +29,7 @@ def _order(basis) -> _Order:
     return _Order(
         np.concatenate([steps[m, :count] for m, _, count in found]),
         np.concatenate([columns[m, :count, part] for m, part, count in found]),
-        np.array([part * orders + m for m, part, _ in found]),
+        np.repeat([part * orders + m for m, part, _ in found], [count for *_, count in found]),
     )
 
 
@@ -40,7 +40,7 @@ def by_function(basis, w: Float[Array, "points 3"]) -> tuple[Float[Array, "modes
     """
     order, chart = _order(basis), basis.chart(w)
     power = powers(chart.square, chart.odd, len(basis.tables().start))
-    starts = power.reshape(2 * power.shape[1], w.shape[0])[jnp.asarray(order.powers, jnp.int32)]
+    starts = power.reshape(2 * power.shape[1], w.shape[0]), order.powers
     return recurrence(order.steps, chart.x, starts), order.columns
 
 

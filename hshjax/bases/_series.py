@@ -132,7 +132,8 @@ def _block(basis, channels: int) -> int:
 def _horner(terms: Sequence[Pair], z: Pair) -> Pair:
     """Σ_k terms_k z^k, of complex numbers."""
     if not terms:
-        return (jnp.zeros_like(z[0]),) * 2
+        zero = jnp.zeros_like(z[0])
+        return zero, zero
     *others, value = terms
     for term in reversed(others):
         value = _plus(multiply(value, z), term)

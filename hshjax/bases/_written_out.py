@@ -6,19 +6,34 @@ their own.
 """
 
 from collections.abc import Callable, Iterable
-from functools import reduce
+from functools import partial, reduce
 from operator import add
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from hshjax._special import multiply
+from hshjax._special import blockwise, multiply
 from hshjax._typing import Array, Float, Real
 from hshjax.bases._kernel import kernel
 
 FUNCTIONS = 128
 """As many coefficients, of all channels together, are written out at most: beyond, products of matrices take less."""
+
+AS_ROWS = 3
+"""Channels that take as long to compile as a design row."""
+
+COLUMNS = 4
+"""Columns of design rows that one kernel writes: a vector register."""
+
+MODES = 8
+"""The same of transposed rows."""
+
+WHOLE = 2**27
+"""Values of design rows times their number of columns, so many as are made at once: what all kernels run through."""
+
+VALUES = 2**18
+"""Values of a block of them, about, where there are more."""
 
 Pair = tuple[Array, Array]
 
@@ -89,3 +104,42 @@ def one_by_one(coefficients: Float[Array, " modes"]) -> list[Array]:
 
 def total(terms: Iterable[Array]) -> Array:
     return reduce(add, terms)
+
+
+def rows(basis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
+    """y_1(w) ... y_K(w), a few columns at a time into their place: one kernel for all would pick each value."""
+
+    def of_block(w):
+        return _grouped(_functions(basis, w), COLUMNS, 1)
+
+    # Every kernel runs through the whole result: a large one would come from memory each time, and be held twice.
+    whole = w.shape[0] * basis.count**2 <= WHOLE
+    return kernel(of_block, w) if whole else blockwise(partial(kernel, of_block), VALUES // basis.count, w)
+
+
+def rows_by_mode(basis, w: Float[Array, "points 3"]) -> Float[Array, "modes points"]:
+    """The same, transposed: what a product with them is faster with."""
+    return kernel(lambda w: _grouped(_functions(basis, w), MODES, 0), w)
+
+
+def _functions(basis, w: Float[Array, "points 3"]) -> list[Array]:
+    chart, orders = basis.chart(w), len(basis.tables().start)
+    even = even_powers(chart.square, orders)
+    powers = [times(even[m // 2], chart.odd if m % 2 else None) for m in range(orders)]
+    p = [radial(basis, chart.x, m) for m in range(orders)]
+    found = []
+    for n, m in basis.modes:
+        value, power = p[abs(m)][basis.radial_index(n, m)], powers[abs(m)]
+        found.append(value if power is None else value * power[int(m < 0)])
+    return found
+
+
+def _grouped(values: list[Array], size: int, axis: int) -> Array:
+    """`jnp.stack(values, axis)`, written `size` values at a time."""
+    shape = [values[0].size]
+    shape.insert(axis, len(values))
+    found = jnp.zeros(shape, values[0].dtype)
+    for first in range(0, len(values), size):
+        begin = (0, first) if axis else (first, 0)
+        found = jax.lax.dynamic_update_slice(found, jnp.stack(values[first : first + size], axis), begin)
+    return found

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, IsotropicBasis, Zernike, _base, _pairs, _series, _written_out
+from hshjax.bases import HSH, IsotropicBasis, Zernike, _base, _pairs, _rows, _series, _written_out
 from tests.bases.cases import EVERY_BASIS
 from tests.helpers import DTYPE, assert_close, directions
 
@@ -30,6 +30,15 @@ def test_the_same_as_products_of_matrices(name, order):
     basis, w = EVERY_BASIS[name](order), directions(0, POINTS, min_z=0.01)
     c = coefficients(basis.count)
     close(_written_out.sums(basis, c, w), _series.sums(basis, c, w))
+    close(_written_out.rows(basis, w), _rows.rows(basis, w))
+    close(_written_out.rows_by_mode(basis, w).T, _rows.rows(basis, w))
+
+
+def test_long_results_come_in_blocks(monkeypatch):
+    monkeypatch.setattr(_written_out, "WHOLE", 100)
+    monkeypatch.setattr(_written_out, "VALUES", 60)
+    basis, w = HSH(2), directions(0, POINTS)
+    close(_written_out.rows(basis, w), _rows.rows(basis, w))
 
 
 @pytest.mark.parametrize("bilateral", [True, False])
