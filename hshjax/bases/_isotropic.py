@@ -4,10 +4,11 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import powers, radial_rows
+from hshjax._special import powers, recurrence
 from hshjax._typing import Array
 from hshjax.bases import _written_out
 from hshjax.bases._base import AbstractBasis, Chart, matmul
@@ -79,8 +80,7 @@ class IsotropicBasis(AbstractProductBasis):
         return _rows(self, wi, wo)
 
     def block_sums(self, coefficients, wi, wo):
-        # Rows of a block stay in the cache, and one product with them takes less time than one for every order.
-        return matmul(coefficients.T, self.block_rows(wi, wo).T).T
+        return _sums(self, coefficients, wi, wo)
 
     def written_out_sums(self, coefficients, wi, wo):
         if not _written_out.short(self.count, coefficients.shape[1], PAIR_FUNCTIONS):
@@ -138,23 +138,104 @@ def _difference_chart(i: Chart, o: Chart) -> tuple[tuple[Array, Array], tuple[Ar
     return times_conjugate(i.square, o.square), times_conjugate(i.odd, o.odd)
 
 
-def _factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Radial functions of either direction, `(orders, degrees, pairs)`, and (Re, Im) s^m, `(2, orders, pairs)`.
+class _Factors(NamedTuple):
+    """Functions of either direction, by m, cosine before sine, then degree: the sine is that of an odd column. Host.
 
-    All azimuthal orders advance together: the arrays are small, and a loop step costs more than its arithmetic.
+    Of wi they have the azimuth of the pair, of wo they have none.
     """
+
+    steps_i: np.ndarray  # (factors, 4), of the `recurrence`
+    powers: np.ndarray  # (factors,): Re or Im s^m, in `powers` with its first two axes made one
+    steps_o: np.ndarray  # (radial, 4)
+    first_i: np.ndarray  # (orders, cosine | sine): where those of m begin
+    first_o: np.ndarray  # (orders,)
+
+
+@lru_cache
+def _factors(pairs: IsotropicBasis) -> _Factors:
     tables = pairs.basis.tables()
+    orders, counts, steps = len(tables.start), tables.counts, tables.steps()
+    parts = [(m, int(sine)) for m in range(orders) for sine in _parts(pairs, m)]
+    first_i = np.zeros((orders, 2), int)
+    for at, (m, part) in zip(np.cumsum([0] + [counts[m] for m, _ in parts]), parts, strict=False):
+        first_i[m, part] = at
+    return _Factors(
+        np.concatenate([steps[m, : counts[m]] for m, _ in parts]),
+        np.concatenate([np.full(counts[m], part * orders + m) for m, part in parts]),
+        np.concatenate([steps[m, : counts[m]] for m in range(orders)]),
+        first_i,
+        np.concatenate([[0], np.cumsum(counts)[:-1]]),
+    )
+
+
+def _both_factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array]:
+    """`(factors, pairs)` of wi, `(radial, pairs)` of wo, in the order of `_Factors`."""
+    factors = _factors(pairs)
     chart_i, chart_o = pairs.basis.chart(wi), pairs.basis.chart(wo)
-    square, odd = _difference_chart(chart_i, chart_o)
-    return radial_rows(tables, chart_i.x), radial_rows(tables, chart_o.x), powers(square, odd, tables.counts.size)
+    power = powers(*_difference_chart(chart_i, chart_o), len(factors.first_o))
+    starts = power.reshape(2 * power.shape[1], wi.shape[0]), factors.powers
+    return recurrence(factors.steps_i, chart_i.x, starts), recurrence(factors.steps_o, chart_o.x)
 
 
 def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:
-    n = pairs.table()
-    ri, ro, azimuth = _factors(pairs, wi, wo)
-    swapped = jnp.asarray(np.where(n.sine, -1, 1), wi.dtype)[:, None] * ri[n.m, n.k] * ro[n.m, n.j]
-    radial = jnp.asarray(n.norm, wi.dtype)[:, None] * (ri[n.m, n.j] * ro[n.m, n.k] + swapped)
-    return (azimuth[n.sine.astype(np.int32), n.m] * radial).T
+    """A column a step: N s^m [R_j(i) R_k(o) ± R_k(i) R_j(o)]."""
+    n, factors, (of_i, of_o) = pairs.table(), _factors(pairs), _both_factors(pairs, wi, wo)
+    begin_i, begin_o = factors.first_i[n.m, n.sine.astype(int)], factors.first_o[n.m]
+    places = [jnp.asarray(place, jnp.int32) for place in (begin_i + n.j, begin_o + n.k, begin_i + n.k, begin_o + n.j)]
+    norm = jnp.asarray(np.stack([n.norm, np.where(n.sine, -n.norm, n.norm)], 1), wi.dtype)
+
+    def step(_, column):
+        (ij, ok, ik, oj), (norm, swapped) = column
+        return None, norm * of_i[ij] * of_o[ok] + swapped * of_i[ik] * of_o[oj]
+
+    return jax.lax.scan(step, None, (places, norm))[1].T
+
+
+def _sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
+    """Σ_m s^m R_m(i)ᵀ A_m R_m(o) for every channel: a product with A_m for every m, then a sum over all R_m(i) s^m."""
+    factors, (of_i, of_o) = _factors(pairs), _both_factors(pairs, wi, wo)
+    channels, found, at = coefficients.shape[1], [], 0
+    places, weights = _matrices(pairs, channels)
+    padded = jnp.append(coefficients.reshape(-1), jnp.zeros((), coefficients.dtype))
+    entries = padded[jnp.asarray(places)] * jnp.asarray(weights, coefficients.dtype)
+    for (m, count), begin in zip(enumerate(pairs.basis.tables().counts), factors.first_o, strict=True):
+        for _ in _parts(pairs, m):
+            matrix = entries[at : at + channels * count**2].reshape(count * channels, count)
+            found.append(matmul(matrix, of_o[begin : begin + count]))
+            at += matrix.size
+    terms = jnp.concatenate(found).reshape(len(of_i), channels, wi.shape[0])
+
+    def add(total, term):
+        inner, outer = term
+        return total + inner * outer[None], None
+
+    return jax.lax.scan(add, jnp.zeros((channels, wi.shape[0]), wi.dtype), (terms, of_i))[0].T
+
+
+@lru_cache
+def _matrices(pairs: IsotropicBasis, channels: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where the entries of all A_m are among the coefficients (one past the last: nowhere), and their weights.
+
+    By m, cosines before sines, row, channel, column. Host arrays.
+    """
+    n, places, weights = pairs.table(), [], []
+    for m, count in enumerate(pairs.basis.tables().counts):
+        for sine in _parts(pairs, m):
+            columns, weight = np.full((count, count), -1), np.zeros((count, count))
+            (here,) = np.nonzero((n.m == m) & (n.sine == sine))
+            j, k, norm = n.j[here], n.k[here], n.norm[here]
+            columns[j, k] = columns[k, j] = here
+            np.add.at(weight, (j, k), norm)
+            np.add.at(weight, (k, j), -norm if sine else norm)
+            place = columns[:, None] * channels + np.arange(channels)[:, None]
+            places.append(np.where(columns[:, None] < 0, pairs.count * channels, place).ravel())
+            weights.append(np.broadcast_to(weight[:, None], place.shape).ravel())
+    return np.concatenate(places).astype(np.int32), np.concatenate(weights)
+
+
+def _parts(pairs: IsotropicBasis, m: int) -> tuple[bool, ...]:
+    """Cosines, and sines where there are some."""
+    return (False,) if pairs.bilateral or m == 0 else (False, True)
 
 
 def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> list[Array]:

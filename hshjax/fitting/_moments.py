@@ -23,7 +23,7 @@ from hshjax._special import RadialTables, jacobi_matrix, powers, radial_rows, ra
 from hshjax._typing import Array, Float
 from hshjax.bases import HSH, SHR, IsotropicBasis, Zernike
 from hshjax.bases._base import AbstractBasis, matmul
-from hshjax.bases._isotropic import _difference_chart, _factors
+from hshjax.bases._isotropic import _difference_chart
 from hshjax.brdfs._linear import cosine_power
 from hshjax.fitting._blocks import fold
 from hshjax.fitting._norms import Norm
@@ -176,19 +176,9 @@ def _inner(
 def _gram(basis: IsotropicBasis, moments: Float[Array, " twice"], rule: Samples) -> Float[Array, "modes modes"]:
     """BᵀWB: of the nodes of a rule, weighted such that they have the moments."""
     twice = twice_order(basis)
-    n = twice.table()
-    degrees = twice.basis.radial_counts()[0]
-    part = jnp.asarray(n.norm, moments.dtype) * moments
-    turn = n.sine.astype(np.int32)
-    sign = jnp.asarray(np.where(n.sine, -1, 1), moments.dtype)
-    matrix = jnp.zeros((2, twice.basis.order + 1, degrees, degrees), moments.dtype)
-    matrix = matrix.at[turn, n.m, n.j, n.k].add(part).at[turn, n.m, n.k, n.j].add(sign * part)
-    turns = 1 if twice.bilateral else 2
 
     def visit(gram, wi, wo, _, weight):
-        ri, ro, azimuth = _factors(twice, wi, wo)
-        radial = jnp.einsum("tmjk,mkn->tmjn", matrix[:turns], ro, precision="highest")
-        density = jnp.einsum("tmn,mjn,tmjn->n", azimuth[:turns], ri, radial)
+        density = twice.block_sums(moments[:, None], wi, wo)[:, 0]
         rows = basis(wi, wo)
         return gram + matmul(rows.T, (weight * density)[:, None] * rows)
 
