@@ -11,6 +11,8 @@ Both are loops inside the compiled program, differentiable in both modes: compil
 """
 
 from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import add
 from typing import NamedTuple
 
 import jax
@@ -96,32 +98,80 @@ def stieltjes_matrix(nodes: np.ndarray, weights: np.ndarray, n: int) -> tuple[np
     return alpha, beta
 
 
-def recurrence(
-    steps: np.ndarray,
-    x: Float[Array, " points"],
-    starts: tuple[Float[Array, "rows points"], np.ndarray] | None = None,
-) -> Float[Array, "steps points"]:
-    """q_i = (slope_i x + shift_i) q_{i-1} - back_i q_{i-2} + start_i, with a row of `steps` `(steps, 4)` for each i.
+class Recurrences(NamedTuple):
+    """One after the other, as `recurrence` takes them. Host arrays."""
 
-    Where the first three are 0 another recurrence begins: many of them are one loop, of one kernel, which takes as long
-    to compile as one of them. `starts`: an array, and for each i by which row of it start_i is multiplied.
+    steps: np.ndarray  # (rows, 4): slope, shift, back, start; where the first three are 0 another one begins
+    factors: np.ndarray  # (rows,) int32: by which row of `starts` the start is multiplied
+    first: np.ndarray  # (recurrences,) int32: rows where they begin
+
+
+def recurrences(tables: RadialTables, parts: Sequence[tuple[int, int]]) -> Recurrences:
+    """Of all radial functions of the orders m, for each (m, row of `starts`) in `parts`."""
+    steps, counts = tables.steps(), [int(tables.counts[m]) for m, _ in parts]
+    return Recurrences(
+        np.concatenate([steps[m, :count] for (m, _), count in zip(parts, counts, strict=True)]),
+        np.repeat([factor for _, factor in parts], counts).astype(np.int32),
+        np.cumsum([0, *counts[:-1]]).astype(np.int32),
+    )
+
+
+def recurrence(
+    all_of: Recurrences, x: Float[Array, " points"], starts: Float[Array, "starts points"] | None = None
+) -> Float[Array, "rows points"]:
+    """q_i = (slope_i x + shift_i) q_{i-1} - back_i q_{i-2} + start_i, the start times its row of `starts`, if given.
+
+    Many recurrences are one loop, of one kernel, which takes as long to compile as one of them.
     """
 
     def step(state, row):
         before, last = state
         (slope, shift, back, start), factor = row
-        begun = start if starts is None else start * starts[0][factor]
+        begun = start if starts is None else start * starts[factor]
         following = (slope * x + shift) * last + (begun - back * before)
         return (last, following), following
 
-    factors = None if starts is None else jnp.asarray(starts[1], jnp.int32)
-    return jax.lax.scan(step, (jnp.zeros_like(x), jnp.zeros_like(x)), (jnp.asarray(steps, x.dtype), factors))[1]
+    rows = jnp.asarray(all_of.steps, x.dtype), jnp.asarray(all_of.factors)
+    return jax.lax.scan(step, (jnp.zeros_like(x), jnp.zeros_like(x)), rows)[1]
 
 
 def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array, "orders degrees points"]:
     """Every p_j^m(x); entries past an order's count are zero."""
     steps = tables.steps()
-    return recurrence(steps.reshape(-1, 4), x).reshape(*steps.shape[:2], x.size)
+    rows = steps.shape[0] * steps.shape[1]
+    all_of = Recurrences(steps.reshape(rows, 4), np.zeros(rows, np.int32), np.arange(0, rows, steps.shape[1]))
+    return recurrence(all_of, x).reshape(*steps.shape[:2], x.size)
+
+
+def products(
+    places: Sequence[tuple[np.ndarray, np.ndarray]],
+    weights: Sequence[np.ndarray],
+    a: Float[Array, "rows points"],
+    b: Float[Array, "others points"],
+) -> Float[Array, "columns points"]:
+    """Σ weight_k a_i(k) b_j(k) for every column k, over the terms (i, j) of `places` and their `weights`, `(columns,)`.
+
+    A column a step: to pick the rows of both first would pass through memory value by value.
+    """
+    terms = [
+        (*(jnp.asarray(place, jnp.int32) for place in pair), jnp.asarray(weight, a.dtype))
+        for pair, weight in zip(places, weights, strict=True)
+    ]
+
+    def step(_, column):
+        return None, reduce(add, [weight * a[i] * b[j] for i, j, weight in column])
+
+    return jax.lax.scan(step, None, terms)[1]
+
+
+def inner(a: Float[Array, "rows channels points"], b: Float[Array, "rows points"]) -> Float[Array, "channels points"]:
+    """Σ_r a_r b_r, a row a step: XLA's reductions over a leading axis are not vectorised."""
+
+    def step(total, row):
+        left, right = row
+        return total + left * right[None], None
+
+    return jax.lax.scan(step, jnp.zeros_like(a[0]), (a, b))[0]
 
 
 def multiply(a: tuple[Real, Real], b: tuple[Real, Real]) -> tuple[Real, Real]:

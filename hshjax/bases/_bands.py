@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hshjax._special import RadialTables
+from hshjax._special import RadialTables, Recurrences, recurrences
 
 WIDTH = 4
 """Azimuthal orders in a band: 8 rows of a matrix for each channel; twice as many lose two bits at order 16."""
@@ -44,11 +44,9 @@ def bands(basis) -> tuple[Band, ...]:
 
 
 @lru_cache
-def first_steps(basis) -> np.ndarray:
-    """Steps of the `recurrence` of the first order of every band, one after the other, `(steps, 4)`."""
-    tables = basis.tables()
-    steps = tables.steps()
-    return np.concatenate([steps[band.first, : tables.counts[band.first]] for band in bands(basis)])
+def first_orders(basis) -> Recurrences:
+    """The radial functions of the first order of every band."""
+    return recurrences(basis.tables(), [(band.first, 0) for band in bands(basis)])
 
 
 def _times_x(tables: RadialTables, m: int) -> np.ndarray:

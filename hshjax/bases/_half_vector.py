@@ -8,8 +8,19 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import RadialTables, jacobi_matrix, powers, radial_rows, radial_tables
+from hshjax._special import (
+    RadialTables,
+    Recurrences,
+    inner,
+    jacobi_matrix,
+    powers,
+    products,
+    radial_tables,
+    recurrence,
+    recurrences,
+)
 from hshjax._typing import Array, Float
+from hshjax.bases._base import matmul
 from hshjax.bases._pairs import AbstractPairBasis
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
@@ -135,27 +146,24 @@ class HalfVectorBasis(AbstractHalfVectorBasis):
 
     def block_rows(self, wi, wo):
         n = function_layout(self.functions)
-        half, difference, azimuth = _factors(self, wi, wo)
-        norm = jnp.asarray(n.norm, wi.dtype)[:, None]
-        return (norm * azimuth[n.sine, n.p] * half[n.p, n.j] * difference[n.p, n.k]).T
+        return products([(n.left_at, n.right_at)], [n.norm], *_factors(self, wi, wo)).T
 
     def block_sums(self, coefficients, wi, wo):
         # A dense product, most of which is zeros, takes less time than a product for every azimuthal order.
         n = function_layout(self.functions)
-        half, difference, azimuth = _factors(self, wi, wo)
-        (p, j, sine), (q, k) = n.left, n.right
-        left, right = half[p, j] * azimuth[sine, p], difference[q, k]
+        left, right = _factors(self, wi, wo)
         weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
-        matrix = jnp.zeros((len(k), coefficients.shape[1], len(j)), wi.dtype)
+        matrix = jnp.zeros((len(right), coefficients.shape[1], len(left)), wi.dtype)
         matrix = matrix.at[n.right_at, :, n.left_at].set(weighted)
-        product = jnp.einsum("acb,bp->acp", matrix, left, precision="highest")
-        return jnp.einsum("acp,ap->pc", product, right, precision="highest")
+        found = matmul(matrix.reshape(-1, len(left)), left)
+        return inner(found.reshape(*matrix.shape[:2], wi.shape[0]), right).T
 
 
 class Layout(NamedTuple):
     """Functions by their factors, host arrays: m = ±2p, degrees j and k of the polynomials, sine or cosine, norm.
 
-    `left` (p, j, sine) and `right` (p, k) are the factors that occur, each once; `left_at`, `right_at`: whose they are.
+    `left`: polynomials of the half vector with cosine or sine of 2pφ_d, `right` those of the difference vector, all
+    degrees of what occurs; `left_at`, `right_at`: rows of a function's factors among them.
     """
 
     p: np.ndarray
@@ -165,9 +173,9 @@ class Layout(NamedTuple):
     norm: np.ndarray
     half: RadialTables
     difference: RadialTables
-    left: np.ndarray
+    left: Recurrences
     left_at: np.ndarray
-    right: np.ndarray
+    right: Recurrences
     right_at: np.ndarray
 
 
@@ -176,12 +184,14 @@ def function_layout(functions: tuple[Mode, ...]) -> Layout:
     a, n, m = np.array(functions, np.int32).T  # int32 for the reason that is given in _isotropic.py
     p = np.abs(m) // 2
     j, k = a - p, (n - 2 * p) // 2
-
     norm, sine = np.where(m == 0, 1, np.sqrt(2)), (m < 0).astype(np.int32)
-    left, left_at = np.unique(np.stack([p, j, sine]), axis=1, return_inverse=True)
-    right, right_at = np.unique(np.stack([p, k]), axis=1, return_inverse=True)
-    tables = circle_tables(p, j, 2), circle_tables(p, k, 2)
-    return Layout(p, j, k, sine, norm, *tables, left, left_at.astype(np.int32), right, right_at.astype(np.int32))
+    half, difference = circle_tables(p, j, 2), circle_tables(p, k, 2)
+
+    turned, part = np.unique(np.stack([p, sine]), axis=1, return_inverse=True)
+    orders, order = np.unique(p, return_inverse=True)
+    left = recurrences(half, [(q, sign * len(half.counts) + q) for q, sign in turned.T])
+    right = recurrences(difference, [(q, 0) for q in orders])
+    return Layout(p, j, k, sine, norm, half, difference, left, left.first[part] + j, right, right.first[order] + k)
 
 
 def circle_tables(order: np.ndarray, degree: np.ndarray, step: int) -> RadialTables:
@@ -191,13 +201,14 @@ def circle_tables(order: np.ndarray, degree: np.ndarray, step: int) -> RadialTab
     return radial_tables(counts, lambda q: np.sqrt(step * q + 1), lambda q, size: jacobi_matrix(0, step * q, size))
 
 
-def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array, Array]:
-    """Polynomials in u and in v, `(orders, degrees, pairs)`, and (Re, Im) of c^p, `(2, orders, pairs)`."""
+def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array]:
+    """Rows of `Layout.left` and of `Layout.right`, `(rows, pairs)`."""
     n = function_layout(basis.functions)
     chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
     re, im = chart.turn
     azimuth = powers((re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
-    return radial_rows(n.half, 2 * chart.u - 1), radial_rows(n.difference, 2 * chart.v - 1), azimuth
+    starts = azimuth.reshape(2 * azimuth.shape[1], wi.shape[0])
+    return recurrence(n.left, 2 * chart.u - 1, starts), recurrence(n.right, 2 * chart.v - 1)
 
 
 class HalfChart(NamedTuple):

@@ -4,11 +4,10 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import powers, recurrence
+from hshjax._special import Recurrences, inner, powers, products, recurrence, recurrences
 from hshjax._typing import Array
 from hshjax.bases import _written_out
 from hshjax.bases._base import AbstractBasis, Chart, matmul
@@ -138,78 +137,53 @@ def _difference_chart(i: Chart, o: Chart) -> tuple[tuple[Array, Array], tuple[Ar
     return times_conjugate(i.square, o.square), times_conjugate(i.odd, o.odd)
 
 
-class _Factors(NamedTuple):
-    """Functions of either direction, by m, cosine before sine, then degree: the sine is that of an odd column. Host.
-
-    Of wi they have the azimuth of the pair, of wo they have none.
-    """
-
-    steps_i: np.ndarray  # (factors, 4), of the `recurrence`
-    powers: np.ndarray  # (factors,): Re or Im s^m, in `powers` with its first two axes made one
-    steps_o: np.ndarray  # (radial, 4)
-    first_i: np.ndarray  # (orders, cosine | sine): where those of m begin
-    first_o: np.ndarray  # (orders,)
-
-
 @lru_cache
-def _factors(pairs: IsotropicBasis) -> _Factors:
+def _factors(pairs: IsotropicBasis) -> tuple[Recurrences, Recurrences, np.ndarray]:
+    """Functions of wi, with the azimuth of the pair; radial ones of wo; where those of wi begin, `(orders, 2)`.
+
+    By m, cosine before sine (that of odd columns), then degree. Host arrays.
+    """
     tables = pairs.basis.tables()
-    orders, counts, steps = len(tables.start), tables.counts, tables.steps()
+    orders = len(tables.start)
     parts = [(m, int(sine)) for m in range(orders) for sine in _parts(pairs, m)]
-    first_i = np.zeros((orders, 2), int)
-    for at, (m, part) in zip(np.cumsum([0] + [counts[m] for m, _ in parts]), parts, strict=False):
-        first_i[m, part] = at
-    return _Factors(
-        np.concatenate([steps[m, : counts[m]] for m, _ in parts]),
-        np.concatenate([np.full(counts[m], part * orders + m) for m, part in parts]),
-        np.concatenate([steps[m, : counts[m]] for m in range(orders)]),
-        first_i,
-        np.concatenate([[0], np.cumsum(counts)[:-1]]),
-    )
+    of_i = recurrences(tables, [(m, part * orders + m) for m, part in parts])
+    first = np.zeros((orders, 2), np.int32)
+    first[tuple(np.transpose(parts))] = of_i.first
+    return of_i, recurrences(tables, [(m, 0) for m in range(orders)]), first
 
 
-def _both_factors(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array]:
-    """`(factors, pairs)` of wi, `(radial, pairs)` of wo, in the order of `_Factors`."""
-    factors = _factors(pairs)
+def _both(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array]:
+    """Functions of wi and of wo, `(rows, pairs)`, as in `_factors`."""
+    of_i, of_o, _ = _factors(pairs)
     chart_i, chart_o = pairs.basis.chart(wi), pairs.basis.chart(wo)
-    power = powers(*_difference_chart(chart_i, chart_o), len(factors.first_o))
-    starts = power.reshape(2 * power.shape[1], wi.shape[0]), factors.powers
-    return recurrence(factors.steps_i, chart_i.x, starts), recurrence(factors.steps_o, chart_o.x)
+    power = powers(*_difference_chart(chart_i, chart_o), len(of_o.first))
+    starts = power.reshape(2 * power.shape[1], wi.shape[0])
+    return recurrence(of_i, chart_i.x, starts), recurrence(of_o, chart_o.x)
 
 
 def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:
-    """A column a step: N s^m [R_j(i) R_k(o) ± R_k(i) R_j(o)]."""
-    n, factors, (of_i, of_o) = pairs.table(), _factors(pairs), _both_factors(pairs, wi, wo)
-    begin_i, begin_o = factors.first_i[n.m, n.sine.astype(int)], factors.first_o[n.m]
-    places = [jnp.asarray(place, jnp.int32) for place in (begin_i + n.j, begin_o + n.k, begin_i + n.k, begin_o + n.j)]
-    norm = jnp.asarray(np.stack([n.norm, np.where(n.sine, -n.norm, n.norm)], 1), wi.dtype)
-
-    def step(_, column):
-        (ij, ok, ik, oj), (norm, swapped) = column
-        return None, norm * of_i[ij] * of_o[ok] + swapped * of_i[ik] * of_o[oj]
-
-    return jax.lax.scan(step, None, (places, norm))[1].T
+    """N s^m [R_j(i) R_k(o) ± R_k(i) R_j(o)]."""
+    n, (_, of_o, first), both = pairs.table(), _factors(pairs), _both(pairs, wi, wo)
+    first_i, first_o = first[n.m, n.sine.astype(int)], of_o.first[n.m]
+    places = (first_i + n.j, first_o + n.k), (first_i + n.k, first_o + n.j)
+    return products(places, (n.norm, np.where(n.sine, -n.norm, n.norm)), *both).T
 
 
 def _sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
     """Σ_m s^m R_m(i)ᵀ A_m R_m(o) for every channel: a product with A_m for every m, then a sum over all R_m(i) s^m."""
-    factors, (of_i, of_o) = _factors(pairs), _both_factors(pairs, wi, wo)
+    (_, rows_o, _), (of_i, of_o) = _factors(pairs), _both(pairs, wi, wo)
     channels, found, at = coefficients.shape[1], [], 0
     places, weights = _matrices(pairs, channels)
     padded = jnp.append(coefficients.reshape(-1), jnp.zeros((), coefficients.dtype))
     entries = padded[jnp.asarray(places)] * jnp.asarray(weights, coefficients.dtype)
-    for (m, count), begin in zip(enumerate(pairs.basis.tables().counts), factors.first_o, strict=True):
+    for (m, count), begin in zip(enumerate(pairs.basis.tables().counts), rows_o.first, strict=True):
         for _ in _parts(pairs, m):
             matrix = entries[at : at + channels * count**2].reshape(count * channels, count)
             found.append(matmul(matrix, of_o[begin : begin + count]))
             at += matrix.size
     terms = jnp.concatenate(found).reshape(len(of_i), channels, wi.shape[0])
 
-    def add(total, term):
-        inner, outer = term
-        return total + inner * outer[None], None
-
-    return jax.lax.scan(add, jnp.zeros((channels, wi.shape[0]), wi.dtype), (terms, of_i))[0].T
+    return inner(terms, of_i).T
 
 
 @lru_cache

@@ -15,7 +15,7 @@ import numpy as np
 
 from hshjax._special import blockwise, multiply, powers, recurrence
 from hshjax._typing import Array, Float
-from hshjax.bases._bands import bands, first_steps
+from hshjax.bases._bands import bands, first_orders
 from hshjax.bases._kernel import kernel
 
 POINTS = 1024
@@ -103,7 +103,7 @@ def _matrices(basis, coefficients: Float[Array, "modes channels"], *, slopes: bo
 
 def _amplitudes(basis, matrices: list[Array], w: Float[Array, "points 3"]) -> list[Array]:
     """Of every band, `(orders * 2 * channels, points)`, doubled with slopes."""
-    radial = recurrence(first_steps(basis), basis.chart(w).x)
+    radial = recurrence(first_orders(basis), basis.chart(w).x)
     return [
         jnp.matmul(matrix, radial[band.degrees], precision="highest")
         for band, matrix in zip(bands(basis), matrices, strict=True)
