@@ -10,7 +10,7 @@ Both are loops inside the compiled program, differentiable in both modes: compil
 `blockwise` keeps the working set in the cache.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import reduce
 from operator import add
 from typing import NamedTuple
@@ -144,8 +144,8 @@ def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array
 
 
 def products(
-    places: Sequence[tuple[np.ndarray, np.ndarray]],
-    weights: Sequence[np.ndarray],
+    places: Iterable[tuple[np.ndarray, np.ndarray]],
+    weights: Iterable[np.ndarray],
     a: Float[Array, "rows points"],
     b: Float[Array, "others points"],
 ) -> Float[Array, "columns points"]:

@@ -8,8 +8,9 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import RadialTables, powers, radial_rows
+from hshjax._special import Recurrences, inner, powers, products, recurrence, recurrences
 from hshjax._typing import Array, Float
+from hshjax.bases._base import matmul
 from hshjax.bases._half_vector import AbstractHalfVectorBasis, circle_tables, circles, first_modes, integers
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
@@ -104,39 +105,31 @@ class AnisotropicHalfVectorBasis(AbstractHalfVectorBasis):
 
     def block_rows(self, wi, wo):
         n = _layout(self.functions)
-        half, difference = _factors(self, wi, wo)
-
-        def products(t, modes):
-            value = jnp.asarray(n.value[t, modes], wi.dtype)[:, None]
-            return value * half[n.half_at[t, modes]] * difference[n.difference_at[t, modes]]
-
-        every, sums = np.arange(self.count, dtype=np.int32), np.flatnonzero(n.value[1]).astype(np.int32)
-        return products(0, every).at[sums].add(products(1, sums)).T
+        return products(zip(n.half_at, n.difference_at, strict=True), n.value, *_factors(self, wi, wo)).T
 
     def block_sums(self, coefficients, wi, wo):
         n = _layout(self.functions)
         half, difference = _factors(self, wi, wo)
         weighted = jnp.asarray(n.value, wi.dtype)[..., None] * coefficients[None]
-        matrix = jnp.zeros((difference.shape[0], half.shape[0], coefficients.shape[1]), wi.dtype)
-        matrix = matrix.at[n.difference_at, n.half_at].add(weighted)
-        product = jnp.einsum("abc,bp->acp", matrix, half, precision="highest")
-        return jnp.einsum("acp,ap->pc", product, difference, precision="highest")
+        matrix = jnp.zeros((len(difference), coefficients.shape[1], len(half)), wi.dtype)
+        matrix = matrix.at[n.difference_at, :, n.half_at].add(weighted)
+        found = matmul(matrix.reshape(-1, len(half)), half)
+        return inner(found.reshape(*matrix.shape[:2], wi.shape[0]), difference).T
 
 
 class Disk(NamedTuple):
-    """Real circle polynomials of one vector by their factors, host arrays: azimuthal order in steps of 2 if all are
-    even, degree of the polynomial, cosine or sine."""
+    """Circle polynomials of one vector: azimuthal orders, in steps of 2 if all are even, recurrences of an order and
+    cosine or sine, and in which row of those each polynomial is. Host arrays."""
 
     step: int
-    order: np.ndarray
-    degree: np.ndarray
-    sine: np.ndarray
-    tables: RadialTables
+    orders: int
+    rows: Recurrences
+    at: np.ndarray
 
 
 class Layout(NamedTuple):
-    """Functions as sums of two products, value[t] · half[half_at[t]] · difference[difference_at[t]]: of one where the
-    second value is 0. Host arrays."""
+    """Functions as sums of two products, value[t] · half[half_at[t]] · difference[difference_at[t]], by rows of the
+    disks; of one where the second value is 0. Host arrays."""
 
     half: Disk
     difference: Disk
@@ -162,19 +155,23 @@ def _layout(functions: tuple[Mode, ...]) -> Layout:
             terms.append((one, other) if k else (other, one))
         else:
             terms.append((product(norm, False, False), product(-norm, True, True)))
-    value, half_at, difference_at = np.array(terms).T
-    return Layout(_disk(half), _disk(difference), value, half_at.astype(np.int32), difference_at.astype(np.int32))
+    value, *places = np.array(terms).T
+    disks = _disk(half), _disk(difference)
+    return Layout(*disks, value, *(disk.at[place.astype(int)] for disk, place in zip(disks, places, strict=True)))
 
 
 def _disk(polynomials: dict[tuple[int, int, bool], int]) -> Disk:
-    degree, order, sine = np.array(list(polynomials), np.int32).T  # int32 for the reason that is given in _isotropic.py
+    degree, order, sine = np.array(list(polynomials)).T
     step = 1 if np.any(order % 2) else 2
-    j = (degree - order) // 2
-    return Disk(step, order // step, j, sine, circle_tables(order // step, j, step))
+    order, j = order // step, (degree - order) // 2
+    tables = circle_tables(order, j, step)
+    parts, part = np.unique(np.stack([order, sine]), axis=1, return_inverse=True)
+    rows = recurrences(tables, [(m, sign * len(tables.counts) + m) for m, sign in parts.T.tolist()])
+    return Disk(step, len(tables.counts), rows, rows.first[part] + j)
 
 
 def _factors(basis: AnisotropicHalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array]:
-    """Circle polynomials of the half and the difference vector, `(functions, pairs)` each."""
+    """Circle polynomials of the half and the difference vector, `(rows, pairs)` each, rows as in their disks."""
     n, chart = _layout(basis.functions), circles(wi, wo)
     half = _circle_rows(n.half, basis.warp, chart.o_h, chart.half)
     return half, _circle_rows(n.difference, basis.difference_warp, chart.o_d, chart.difference)
@@ -186,10 +183,10 @@ def _circle_rows(disk: Disk, warp: AbstractWarp, o: Array, vector: tuple[Array, 
     square = ratio * (x * x - y * y), ratio * 2 * x * y
     if disk.step == 2:
         re, im = square
-        azimuth = powers((re * re - im * im, 2 * re * im), square, disk.tables.counts.size)
+        azimuth = powers((re * re - im * im, 2 * re * im), square, disk.orders)
     else:
         # `RootWarp` alone has a ratio of 0, where it stands for an infinite one: the root is not differentiable there.
         positive = ratio > 0
         root = jnp.where(positive, jnp.sqrt(jnp.where(positive, ratio, 1)), 0)
-        azimuth = powers(square, (root * x, root * y), disk.tables.counts.size)
-    return azimuth[disk.sine, disk.order] * radial_rows(disk.tables, 2 * o * ratio - 1)[disk.order, disk.degree]
+        azimuth = powers(square, (root * x, root * y), disk.orders)
+    return recurrence(disk.rows, 2 * o * ratio - 1, azimuth.reshape(2 * azimuth.shape[1], o.size))

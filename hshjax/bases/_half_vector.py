@@ -189,8 +189,8 @@ def function_layout(functions: tuple[Mode, ...]) -> Layout:
 
     turned, part = np.unique(np.stack([p, sine]), axis=1, return_inverse=True)
     orders, order = np.unique(p, return_inverse=True)
-    left = recurrences(half, [(q, sign * len(half.counts) + q) for q, sign in turned.T])
-    right = recurrences(difference, [(q, 0) for q in orders])
+    left = recurrences(half, [(q, sign * len(half.counts) + q) for q, sign in turned.T.tolist()])
+    right = recurrences(difference, [(q, 0) for q in orders.tolist()])
     return Layout(p, j, k, sine, norm, half, difference, left, left.first[part] + j, right, right.first[order] + k)
 
 
