@@ -2,8 +2,8 @@
 
     L(pixel, light) ~ Σ_k c_k(pixel) y_k(light)
 
-All pixels see the same lights, so that one factorisation serves all: coefficients are one matrix, of as many rows as
-functions and columns as lights, times the values of a pixel.
+Pixels that see all lights have one factorisation together: coefficients are one matrix, of as many rows as functions
+and columns as lights, times the values of a pixel. A pixel in which lights are missing has a factorisation of its own.
 """
 
 import json
@@ -21,21 +21,25 @@ from jax.sharding import Mesh
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractBasis
 from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
-from hshjax.fitting._light_design import LightDesign, fit_pixels
+from hshjax.fitting._fit_pixels import fit_pixels
+from hshjax.fitting._lapack import suited_threads
+from hshjax.fitting._light_design import LightDesign
 from hshjax.fitting._mesh import own_mesh
 from hshjax.fitting._prior import Prior
 from hshjax.fitting._processes import Processes, check_same_call
 from hshjax.fitting._tile_results import TileResults
-from hshjax.fitting._tiles import TileError, Tiles, finite_values
+from hshjax.fitting._tiles import TileError, Tiles, known_values
 
 
 class PixelFit(eqx.Module):
     """Coefficients of every pixel, and what can be said about the fit.
 
     - `coefficients`: `(pixels, functions, channels)`: an array, mapped from a file, or the `out` that was given.
-    - `residual`: root of Σ w |L - L̂|² over pixels and lights, per channel. - `relative`: that over the root of
-      Σ w |L|².
-    - `condition`: condition number of the weighted design matrix, shared by all pixels.
+    - `residual`: root of Σ w |L - L̂|² over pixels and the lights that are known in them, per channel. - `relative`:
+      that over the root of Σ w |L|².
+    - `condition`: condition number of the weighted design matrix, shared by all pixels that lack no light.
+    - `partial`: how many pixels lack a light. - `undetermined`: how many of them have NaN for coefficients, for the
+      lights that are left do not determine the functions; `residual` and `relative` leave these out.
     """
 
     basis: AbstractBasis
@@ -43,9 +47,12 @@ class PixelFit(eqx.Module):
     residual: Float[np.ndarray, " channels"]
     relative: Float[np.ndarray, " channels"]
     condition: float
+    partial: int
+    undetermined: int
 
     def relit(self, light: Float[Array, "3"], pixels: slice = slice(None)) -> Float[Array, "pixels channels"]:
-        """What some pixels look like under a light from that direction, as strong as those of the photographs."""
+        """What some pixels look like under a light from that direction, as strong as those of the photographs; NaN in
+        those that are undetermined."""
         coefficients = jnp.asarray(np.asarray(self.coefficients[pixels]))
         return self.basis.evaluate(jnp.swapaxes(coefficients, 0, 1), light)
 
@@ -73,7 +80,11 @@ def project_pixels(
     - `lights`: unit vectors towards the distant lights, in the frame of the basis (the camera's, or the plane's).
     - `source`: photographs, linear in light, under lights of one strength: anything with `shape` (pixels, lights,
       channels) that gives an array for `source[start:stop]` (of numpy, mapped, of h5py, zarr, `io.stack_images`), which
-      is cut into tiles of `rows` pixels; or anything that yields such tiles.
+      is cut into tiles of `rows` pixels; or anything that yields such tiles. A light that is NaN in some channel of a
+      pixel (saturated, shadowed, broken) is left out of that pixel, in all channels. The pixel is then fitted by
+      itself, as `project` fits samples of weight 0; it is undetermined, and NaN, without any light, with fewer lights
+      than functions and no ridge, and where the condition number (in the Frobenius norm) is more than its dtype
+      resolves, 1 / (functions x eps).
     - `weight`: of every light; 0 leaves one out, whatever its values are.
     - `ridge`, `prior`: see `project`; "spectral" is (n(n+1))², which leaves the constant free.
     - `out`: where coefficients go: None for memory; anything with `shape` (pixels, functions, channels) that takes
@@ -93,10 +104,10 @@ def project_pixels(
 
     **Returns:** a `PixelFit`.
 
-    **Raises:** TileError, naming the tile, for one of another shape or dtype than the first, for values that are not
-    finite, where another number of pixels comes than was said, and where what is done is not in `out`, or of other
-    photographs. ValueError for lights that are not of unit length, below the horizon of the basis, or do not determine
-    the functions; for a source, `out` or checkpoint that do not fit, and for one that another run is using.
+    **Raises:** TileError, naming the tile, for one of another shape or dtype than the first, for infinite values, where
+    another number of pixels comes than was said, and where what is done is not in `out`, or of other photographs.
+    ValueError for lights that are not of unit length, below the horizon of the basis, or do not determine the
+    functions; for a source, `out` or checkpoint that do not fit, and for one that another run is using.
     ProcessError: see `project_blocks`.
     """
     design = LightDesign(basis, lights, weight, ridge, prior)
@@ -107,20 +118,25 @@ def project_pixels(
     folder = results.unfinished if checkpoint is None else checkpoint
     dtype = _floating(tiles.dtype)
     run = {"pixels": total, "tiles": rows if tiles.pixels else "as they come", "kind": tiles.kind}
-    run |= fingerprint(basis=basis, lights=design.operator)
+    run |= fingerprint(basis=basis, lights=(design.operator, design.weight))
     own, of = None if mesh is None else own_mesh(mesh), len(tiles) if tiles.pixels else None
-    with Processes(mesh, "project_pixels", timeout, _advice(folder)) as processes, ExitStack() as held:
+    with (
+        Processes(mesh, "project_pixels", timeout, _advice(folder)) as processes,
+        suited_threads(basis.count + tiles.channels),
+        ExitStack() as held,
+    ):
         index, count = processes.index, processes.count
         if count > 1 and out is None:
             raise ValueError("processes that share the pixels need an `out` to write to, got None")
         saved = None if folder is None else Checkpoint(folder, run, index, count, every)
         if saved is not None:
             held.enter_context(saved.held())
-        state = (None if saved is None else saved.load("numbers", "sums")) or {
-            "numbers": np.zeros(2, np.int64),
+        state = (None if saved is None else saved.load("begin", "counts", "sums")) or {
+            "begin": np.zeros((), np.int64),
+            "counts": np.zeros(3, np.int64),  # of pixels, of those that are partial, undetermined
             "sums": np.zeros((2, tiles.channels)),
         }
-        begin, shape = int(state["numbers"][0]), (total, basis.count, tiles.channels)
+        begin, shape = int(state["begin"]), (total, basis.count, tiles.channels)
 
         def create(found: list[bytes]) -> bytes:
             """What the first process does for all."""
@@ -133,15 +149,17 @@ def project_pixels(
         results.open(shape)
         missing = begin > 0
         for tile in tiles.read(lambda number: number >= begin - 1 and number % count == index):
-            values = finite_values(tile, dtype, design.weight > 0)
-            coefficients, sums = fit_pixels(design, values, own)
+            found = fit_pixels(design, *known_values(tile, dtype, design.weight > 0), own)
             if tile.number < begin:  # it is done
-                results.check(tile, coefficients, design.condition)
+                results.check(tile, found.coefficients, found.conditions)
                 missing = False
                 continue
-            results.write(tile, coefficients)
-            done = int(state["numbers"][1]) + len(coefficients)
-            state = {"numbers": np.asarray([tile.number + 1, done]), "sums": state["sums"] + sums}
+            results.write(tile, found.coefficients)
+            state = {
+                "begin": np.asarray(tile.number + 1),
+                "counts": state["counts"] + [len(tile.values), found.partial, found.undetermined],
+                "sums": state["sums"] + found.sums,
+            }
             processes.check()
             if on_tile is not None:
                 on_tile(tile.number, of)
@@ -156,14 +174,14 @@ def project_pixels(
 
         def publish(found: list[bytes]) -> bytes:
             states = [unpacked(one) for one in found]
-            done = sum(int(one["numbers"][1]) for one in states)
-            if total not in (None, done):
-                last = max(int(one["numbers"][0]) for one in states)
-                raise TileError(last, f"expected {total} pixels in all, got {done} up to here")
+            together = {name: np.sum([one[name] for one in states], axis=0) for name in ("counts", "sums")}
+            if total not in (None, together["counts"][0]):
+                last = max(int(one["begin"]) for one in states)
+                raise TileError(last, f"expected {total} pixels in all, got {together['counts'][0]} up to here")
             results.publish()
-            return packed({"sums": np.sum([one["sums"] for one in states], axis=0)})
+            return packed(together)
 
-        error, size = np.sqrt(unpacked(processes.put_together(packed(state), publish))["sums"])
+        together = unpacked(processes.put_together(packed(state), publish))
         held.close()  # nobody writes any more, and network file systems remove no file that is open
         processes.finish()
         if saved is not None and results.unfinished is None:
@@ -171,7 +189,11 @@ def project_pixels(
         if index == 0:  # for all: others would remove at the same time
             results.clear()
     coefficients = results.array if results.path is None else np.load(results.path, mmap_mode="r")
-    return PixelFit(basis, coefficients, error, error / np.where(size > 0, size, 1), design.condition)
+    error, size = np.sqrt(together["sums"])
+    _, partial, undetermined = map(int, together["counts"])
+    return PixelFit(
+        basis, coefficients, error, error / np.where(size > 0, size, 1), design.condition, partial, undetermined
+    )
 
 
 def _total(tiles: Tiles, pixels: int | None, out: Any, results: TileResults) -> int | None:

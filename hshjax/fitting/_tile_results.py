@@ -92,13 +92,20 @@ class TileResults:
         """What to do where what is done is not to be gone on with."""
         return f"remove {self.unfinished or 'the checkpoint'} to begin anew"
 
-    def check(self, tile: Tile, coefficients: np.ndarray, condition: float) -> None:
-        """TileError where `out` has other coefficients of a tile that is done, beyond rounding at that condition
-        number: the photographs are others, or `out` is."""
+    def check(self, tile: Tile, coefficients: np.ndarray, conditions: np.ndarray) -> None:
+        """TileError where `out` has other coefficients of a tile that is done, beyond rounding at the condition numbers
+        of its pixels, or NaN elsewhere: the photographs are others, or `out` is."""
         there = np.asarray(self.array[tile.start : tile.start + len(coefficients)])
         step = max(float(jnp.finfo(one.dtype).eps) for one in (there, coefficients))
-        limit = max(step**0.5, condition * step) * np.max(np.abs(coefficients))
-        if there.shape != coefficients.shape or not np.all(np.abs(there - coefficients) <= limit):
+        known = np.isfinite(conditions)
+        sizes = np.max(np.abs(coefficients), axis=(1, 2))
+        usual = np.median(sizes[known]) if known.any() else 0.0  # one that is ill-determined does not speak for others
+        limits = np.maximum(step**0.5, conditions[known] * step) * np.maximum(sizes[known], usual)
+        if (
+            there.shape != coefficients.shape
+            or not np.isnan(there[~known]).all()
+            or not np.all(np.abs(there[known] - coefficients[known]) <= limits[:, None, None])
+        ):
             raise TileError(
                 tile.number,
                 f"was done and out does not hold its fit: photographs, or out, are others than before: {self.anew}",

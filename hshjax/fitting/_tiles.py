@@ -113,18 +113,24 @@ def _kind(values: np.ndarray) -> str:
     return f"{values.shape[2]} channels of {values.dtype.name}"
 
 
-def finite_values(tile: Tile, dtype: np.dtype, used: np.ndarray) -> np.ndarray:
-    """The values in `dtype`; TileError for those that are not finite in it, under a light that is used."""
+def known_values(tile: Tile, dtype: np.dtype, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The values in `dtype`, and which lights are known in which pixels `(pixels, lights)`: those that are NaN in no
+    channel, whatever lights are `used`.
+
+    **Raises:** TileError for values that are infinite in that dtype, under a light that is used.
+    """
     with np.errstate(over="ignore"):  # what is infinite then is told
         values = tile.values.astype(dtype)
     if tile.values.dtype.kind != "f":
-        return values
-    bad = ~np.isfinite(values).all(axis=2) & used
-    if bad.any():
-        pixel, light = np.argwhere(bad)[0]
-        raise TileError(
-            tile.number,
-            f"{bad.sum()} values are NaN or infinite in {dtype}, the first of pixel {tile.start + pixel} under light "
-            f"{light}: give that light the weight 0, or fill them in",
-        )
-    return values
+        return values, np.ones(values.shape[:2], bool)
+    known = np.asarray(np.isfinite(values).all(axis=2))
+    if not known.all():
+        infinite = np.isinf(values).any(axis=2) & used
+        if infinite.any():
+            pixel, light = np.argwhere(infinite)[0]
+            raise TileError(
+                tile.number,
+                f"{infinite.sum()} values are infinite in {dtype}, the first of pixel {tile.start + pixel} under light "
+                f"{light}: make them NaN where nothing is known, or give that light the weight 0",
+            )
+    return values, known

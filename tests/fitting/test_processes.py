@@ -151,7 +151,9 @@ def test_samples_that_every_process_has(folder):
 @pytest.mark.slow
 def test_pixels_of_a_killed_process(folder):
     lights = np.asarray(directions(0, 20, min_z=0.2))
-    values = np.random.default_rng(0).uniform(0, 1, (103, 20, 3))
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0, 1, (103, 20, 3))
+    values[rng.random((103, 20)) < 0.03] = np.nan  # some lights in some pixels
     np.save(folder / "lights.npy", lights)
     np.save(folder / "photographs.npy", values)
     pixels, out = ("--what", "pixels", "--timeout", TIMEOUT), folder / "coefficients.npy"
