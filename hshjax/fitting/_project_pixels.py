@@ -21,6 +21,7 @@ from jax.sharding import Mesh
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractBasis
 from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
+from hshjax.fitting._finished import Finished, Verify, check_verify, mark_of
 from hshjax.fitting._fit_pixels import fit_pixels
 from hshjax.fitting._lapack import suited_threads
 from hshjax.fitting._light_design import LightDesign
@@ -71,6 +72,7 @@ def project_pixels(
     mesh: Mesh | None = None,
     checkpoint: str | PathLike | None = None,
     every: float = 30.0,
+    verify: Verify = "last",
     timeout: float = 60.0,
     on_tile: Callable[[int, int | None], None] | None = None,
 ) -> PixelFit:
@@ -90,11 +92,13 @@ def project_pixels(
     - `out`: where coefficients go: None for memory; anything with `shape` (pixels, functions, channels) that takes
       `out[start:stop] = array`; or the path of a .npy file, which gets its name when it is whole. Beside a path, the
       folder `.NAME.unfinished` holds what is done, and the same call goes on from there after an interruption. The
-      last tile that is done is then fitted again and compared with `out`, which must give it for `out[start:stop]`; of
-      the others nothing is known. One run at a time has a path or checkpoint.
+      last tile that is done is then fitted again and compared with `out`, which must give it for `out[start:stop]`.
+      One run at a time has a path or checkpoint.
     - `pixels`: how many a source without a shape will yield; a path needs to know.
     - `checkpoint`: a folder for what has been done, where `out` is an array that outlives the process. `every`: see
       `project_blocks`. Only tiles are in it that are whole in `out`, and flushed where `out` can.
+    - `verify`: whether photographs are the ones before: of the "last" tile that is done, or of "all", which are read
+      again for that; see `project_blocks`.
     - `mesh`, `timeout`: see `project_blocks`. Each device takes a share of the pixels of a tile, each process every
       n-th tile. `out` must then be writable by all processes: a path that all share, or an array of which different
       parts may be written at the same time.
@@ -110,6 +114,7 @@ def project_pixels(
     functions; for a source, `out` or checkpoint that do not fit, and for one that another run is using.
     ProcessError: see `project_blocks`.
     """
+    check_verify(verify)
     design = LightDesign(basis, lights, weight, ridge, prior)
     tiles, results = Tiles(source, rows, len(design.rows)), TileResults(out)
     total = _total(tiles, pixels, out, results)
@@ -131,12 +136,15 @@ def project_pixels(
         saved = None if folder is None else Checkpoint(folder, run, index, count, every)
         if saved is not None:
             held.enter_context(saved.held())
-        state = (None if saved is None else saved.load("begin", "counts", "sums")) or {
+        state = (None if saved is None else saved.load("begin", "marks", "counts", "sums")) or {
             "begin": np.zeros((), np.int64),
+            "marks": np.zeros(0, np.uint32),
             "counts": np.zeros(3, np.int64),  # of pixels, of those that are partial, undetermined
             "sums": np.zeros((2, tiles.channels)),
         }
         begin, shape = int(state["begin"]), (total, basis.count, tiles.channels)
+        marks = state.pop("marks").tolist()
+        finished = Finished(verify, marks, begin)
 
         def create(found: list[bytes]) -> bytes:
             """What the first process does for all."""
@@ -147,14 +155,18 @@ def project_pixels(
 
         processes.put_together(json.dumps([run, begin]).encode(), create)
         results.open(shape)
-        missing = begin > 0
-        for tile in tiles.read(lambda number: number >= begin - 1 and number % count == index):
+        for tile in tiles.read(lambda number: finished.wanted(number) and number % count == index):
+            mark = 0 if saved is None else mark_of(tile.values)
+            if tile.number < begin and not finished.comes_again(mark):
+                raise TileError(tile.number, f"was done with other photographs than these: {results.anew}")
+            if tile.number < begin - 1:
+                continue
             found = fit_pixels(design, *known_values(tile, dtype, design.weight > 0), own)
-            if tile.number < begin:  # it is done
+            if tile.number < begin:
                 results.check(tile, found.coefficients, found.conditions)
-                missing = False
                 continue
             results.write(tile, found.coefficients)
+            marks.append(mark)
             state = {
                 "begin": np.asarray(tile.number + 1),
                 "counts": state["counts"] + [len(tile.values), found.partial, found.undetermined],
@@ -165,12 +177,12 @@ def project_pixels(
                 on_tile(tile.number, of)
             if saved is not None and saved.due:
                 results.flush()
-                saved.save(state)
-        if missing:
+                saved.save(state | {"marks": np.asarray(marks, np.uint32)})
+        if finished.missing:
             raise TileError(begin - 1, f"was done, and does not come any more: {results.anew}")
         if saved is not None:
             results.flush()
-            saved.save(state)
+            saved.save(state | {"marks": np.asarray(marks, np.uint32)})
 
         def publish(found: list[bytes]) -> bytes:
             states = [unpacked(one) for one in found]

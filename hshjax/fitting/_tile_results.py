@@ -94,7 +94,7 @@ class TileResults:
 
     def check(self, tile: Tile, coefficients: np.ndarray, conditions: np.ndarray) -> None:
         """TileError where `out` has other coefficients of a tile that is done, beyond rounding at the condition numbers
-        of its pixels, or NaN elsewhere: the photographs are others, or `out` is."""
+        of its pixels, or NaN elsewhere."""
         there = np.asarray(self.array[tile.start : tile.start + len(coefficients)])
         step = max(float(jnp.finfo(one.dtype).eps) for one in (there, coefficients))
         known = np.isfinite(conditions)
@@ -106,10 +106,7 @@ class TileResults:
             or not np.isnan(there[~known]).all()
             or not np.all(np.abs(there[known] - coefficients[known]) <= limits[:, None, None])
         ):
-            raise TileError(
-                tile.number,
-                f"was done and out does not hold its fit: photographs, or out, are others than before: {self.anew}",
-            )
+            raise TileError(tile.number, f"was done, and out does not hold its fit: {self.anew}")
 
     def write(self, tile: Tile, coefficients: np.ndarray) -> None:
         """The coefficients of a tile in their place; TileError for pixels beyond the end."""

@@ -149,11 +149,15 @@ def test_a_run_with_holes_goes_on(tmp_path):
     values, out = undetermined_too(), tmp_path / "out.npy"
     with pytest.raises(OSError, match="the disk is gone"):
         project_pixels(BASIS, LIGHTS, Lazy(values, broken=60), rows=20, out=out, every=0.0)
-    for pixel in (46, 45):  # of a pixel with holes, and of what holes it has
-        other = values.copy()
-        other[pixel] = photographs()[pixel]
-        with pytest.raises(TileError, match="tile 2: was done and out does not hold its fit"):
-            project_pixels(BASIS, LIGHTS, other, rows=20, out=out)
+    file = out.with_name(f".{out.name}.unfinished") / "coefficients.npy"
+    for pixel, wrong in ((46, np.nan), (46, 0.5), (45, 0.5)):  # one that lacks lights, and one that is undetermined
+        there = np.load(file, mmap_mode="r+")
+        before, there[pixel] = there[pixel].copy(), wrong
+        there.flush()
+        with pytest.raises(TileError, match="tile 2: was done, and out does not hold its fit"):
+            project_pixels(BASIS, LIGHTS, values, rows=20, out=out)
+        there[pixel] = before
+        there.flush()
     source = Lazy(values)
     fit = project_pixels(BASIS, LIGHTS, source, rows=20, out=out)
     assert source.read[1:] == [(40, 60), (60, 80), (80, 100), (100, PIXELS)]

@@ -313,8 +313,13 @@ def test_arrays_that_become_shorter(unchecked):
 
 
 @pytest.mark.parametrize(
-    ("changed", "message"), [({"every": -1.0}, "every must be >= 0"), ({"timeout": 0.0}, "timeout")]
+    ("changed", "message"),
+    [
+        ({"every": -1.0}, "every must be >= 0"),
+        ({"timeout": 0.0}, "timeout"),
+        ({"verify": "some"}, "verify must be one of last, all, got 'some'"),
+    ],
 )
-def test_settings_that_make_no_sense(changed, message, tmp_path):
+def test_settings_that_make_no_sense(changed, message, tmp_path, unchecked):
     with pytest.raises(ValueError, match=message):
         project_blocks(BASIS, blocks_of(), checkpoint=tmp_path, **changed)

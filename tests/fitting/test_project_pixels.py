@@ -237,9 +237,10 @@ def test_a_source_of_another_length(tmp_path):
         ({"out": 250 * "x"}, "must leave room for .x*.unfinished, which has 262 bytes, 255 at most"),
         ({"checkpoint": "here"}, "a checkpoint is for an `out`"),
         ({"prior": "spectral"}, "ridge > 0"),
+        ({"verify": "some"}, "verify must be one of last, all, got 'some'"),
     ],
 )
-def test_calls_that_make_no_sense(changed, message):
+def test_calls_that_make_no_sense(changed, message, unchecked):
     call = {"basis": BASIS, "lights": LIGHTS, "source": photographs()} | changed
     with pytest.raises(ValueError, match=message):
         project_pixels(**call)
