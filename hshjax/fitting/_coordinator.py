@@ -20,7 +20,7 @@ def coordinator(port: int, processes: int) -> Iterator[None]:
     **Raises:** ValueError for no process, and for a port that is not from 1 to 65535; OSError for one that another
     program has.
     """
-    from jax._src.lib import _jax  # jax has no public name for it
+    from jax._src.lib import _jax  # pyright: ignore[reportPrivateImportUsage]  there is no public name for it
 
     if processes < 1:
         raise ValueError(f"a coordinator needs at least one process, got {processes}")

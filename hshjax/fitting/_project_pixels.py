@@ -51,11 +51,13 @@ class PixelFit(eqx.Module):
     partial: int
     undetermined: int
 
-    def relit(self, light: Float[Array, "3"], pixels: slice = slice(None)) -> Float[Array, "pixels channels"]:
+    def relit(
+        self, light: Float[Array, "3"] | np.ndarray, pixels: slice = slice(None)
+    ) -> Float[Array, "pixels channels"]:
         """What some pixels look like under a light from that direction, as strong as those of the photographs; NaN in
         those that are undetermined."""
         coefficients = jnp.asarray(np.asarray(self.coefficients[pixels]))
-        return self.basis.evaluate(jnp.swapaxes(coefficients, 0, 1), light)
+        return self.basis.evaluate(jnp.swapaxes(coefficients, 0, 1), jnp.asarray(light))
 
 
 def project_pixels(

@@ -217,6 +217,24 @@ def test_keys_are_shared_out_too():
     assert_close(map_over_mesh(one, (keys, scales), device_mesh(2)), jax.vmap(one)((keys, scales)))
 
 
+@pytest.mark.parametrize("kind", ["threefry2x32", "rbg"])
+def test_keys_come_back(kind):
+    """Alone, and among other results; three on two devices, and no more than devices."""
+    keys = jax.random.split(jax.random.key(0, impl=kind), 3)
+
+    def one(key):
+        return {"next": key, "two": (jax.random.split(key), jnp.zeros(2, DTYPE)), "word": "a"}
+
+    for devices in (2, 8):
+        got, expected = map_over_mesh(one, keys, device_mesh(devices)), jax.vmap(lambda key: one(key)["two"])(keys)
+        assert got["word"] == "a"
+        for key, whole in ((got["next"], keys), (got["two"][0], expected[0])):
+            assert key.dtype == whole.dtype
+            np.testing.assert_array_equal(jax.random.key_data(key), jax.random.key_data(whole))
+    again = map_over_mesh(lambda key: key, map_over_mesh(lambda key: key, keys, device_mesh(2)), device_mesh(4))
+    np.testing.assert_array_equal(jax.random.key_data(again), jax.random.key_data(keys))
+
+
 def test_a_batch_is_not_shared_out_inside_a_transformation():
     with pytest.raises(ValueError, match="inside a transformation of jax map_over_mesh cannot share out a batch"):
         jax.jit(lambda x: map_over_mesh(lambda y: y, x, device_mesh(2)))(jnp.zeros(4, DTYPE))
