@@ -12,7 +12,7 @@ from jax.sharding import Mesh
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._linear import cosine_power
-from hshjax.fitting._checks import Counts, check_isotropy, check_values
+from hshjax.fitting._checks import Counts, check_isotropy, check_numbers, check_values
 from hshjax.fitting._finished import Finished, mark_of
 from hshjax.fitting._mesh import gathered, spread
 from hshjax.fitting._norms import Norm
@@ -91,6 +91,7 @@ class BlockSums:
         self.kind = kind_of(samples) if self.kind is None else self.kind
         try:
             check_isotropy(self.basis, samples)
+            check_numbers(samples)
             # Filled up to a power of two: a program is compiled for every size.
             whole = filled(samples, 1 << (samples.size - 1).bit_length())
             self.counts = self.counts.plus(check_values(whole, self.norm, samples.size))

@@ -7,6 +7,7 @@ and columns as lights, times the values of a pixel. A pixel in which lights are 
 """
 
 import json
+import operator
 from collections.abc import Callable
 from contextlib import ExitStack
 from os import PathLike
@@ -84,11 +85,11 @@ def project_pixels(
     - `lights`: unit vectors towards the distant lights, in the frame of the basis (the camera's, or the plane's).
     - `source`: photographs, linear in light, under lights of one strength: anything with `shape` (pixels, lights,
       channels) that gives an array for `source[start:stop]` (of numpy, mapped, of h5py, zarr, `io.stack_images`), which
-      is cut into tiles of `rows` pixels; or anything that yields such tiles. A light that is NaN in some channel of a
-      pixel (saturated, shadowed, broken) is left out of that pixel, in all channels. The pixel is then fitted by
-      itself, as `project` fits samples of weight 0; it is undetermined, and NaN, without any light, with fewer lights
-      than functions and no ridge, and where the condition number (in the Frobenius norm) is more than its dtype
-      resolves, 1 / (functions x eps).
+      is cut into tiles of `rows` pixels; or anything that yields such tiles. A light that is NaN, or masked (numpy.ma),
+      in some channel of a pixel (saturated, shadowed, broken) is left out of that pixel, in all channels. The pixel is
+      then fitted by itself, as `project` fits samples of weight 0; it is undetermined, and NaN, without any light, with
+      fewer lights than functions and no ridge, and where the condition number (in the Frobenius norm) is more than its
+      dtype resolves, 1 / (functions x eps).
     - `weight`: of every light; 0 leaves one out, whatever its values are.
     - `ridge`, `prior`: see `project`; "spectral" is (n(n+1))², which leaves the constant free.
     - `out`: where coefficients go: None for memory; anything with `shape` (pixels, functions, channels) that takes
@@ -124,7 +125,7 @@ def project_pixels(
         raise ValueError("a checkpoint is for an `out` that is an array and outlives the process; a path has its own")
     folder = results.unfinished if checkpoint is None else checkpoint
     dtype = _floating(tiles.dtype)
-    run = {"pixels": total, "tiles": rows if tiles.pixels else "as they come", "kind": tiles.kind}
+    run = {"pixels": total, "tiles": tiles.rows if tiles.pixels else "as they come", "kind": tiles.kind}
     run |= fingerprint(basis=basis, lights=(design.operator, design.weight))
     own, of = None if mesh is None else own_mesh(mesh), len(tiles) if tiles.pixels else None
     with (
@@ -216,7 +217,11 @@ def _total(tiles: Tiles, pixels: int | None, out: Any, results: TileResults) -> 
         if pixels not in (None, tiles.pixels):
             raise ValueError(f"pixels is for a source without shape; this one has {tiles.pixels}, got {pixels}")
         return tiles.pixels
-    return int(out.shape[0]) if pixels is None and out is not None and results.path is None else pixels
+    if pixels is None:
+        return int(out.shape[0]) if out is not None and results.path is None else None
+    if pixels < 1:
+        raise ValueError(f"pixels must be at least 1, got {pixels}")
+    return operator.index(pixels)
 
 
 def _floating(dtype: np.dtype) -> np.dtype:

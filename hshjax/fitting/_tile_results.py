@@ -29,7 +29,8 @@ class TileResults:
       is not whole yet lies in the folder `unfinished`.
     - `array`: what has been written to, None before.
 
-    **Raises:** ValueError for a path that is a folder, has the suffix of another format, or too long a name.
+    **Raises:** ValueError for a path that is a folder, has the suffix of another format, or too long a name; TypeError
+    for what has no shape.
     """
 
     def __init__(self, out: Any):
@@ -42,6 +43,8 @@ class TileResults:
             )
         self.array: Any = None if self.path is not None else out
         self.unfinished = None if self.path is None else self.path.with_name(f".{self.path.name}.unfinished")
+        if self.array is not None and not hasattr(self.array, "shape"):
+            raise TypeError(f"out must be an array, a path or None, got {type(out).__name__}")
         self._parts: list[np.ndarray] | None = [] if out is None else None
         size = 0 if self.unfinished is None else len(os.fsencode(self.unfinished.name))
         if self.unfinished is not None and size > LONGEST:
