@@ -13,8 +13,9 @@ from hshjax._typing import Array, Bool, Float
 from hshjax.fitting._light_design import LightDesign
 from hshjax.fitting._mesh import ALIKE, SHARES, put
 
-TOGETHER = 512
-"""Pixels, on every device, that one call of the compiled program factorises: the last call is filled up to as many."""
+TOGETHER, NUMBERS = 512, 2**24
+"""Pixels, on every device, that one call of the compiled program factorises at most, and numbers of their matrices: the
+last call is filled up to as many."""
 
 
 class TileFit(NamedTuple):
@@ -48,7 +49,9 @@ def fit_pixels(
     coefficients, sums = _by_all_lights(design, values, mesh)
     lacking = np.flatnonzero(~(known | (design.weight == 0)).all(axis=1))
     conditions = np.full(len(values), design.condition)
-    step = TOGETHER * (1 if mesh is None else mesh.size)
+    lights, functions = design.rows.shape
+    each = (lights + functions) * (functions + values.shape[2])
+    step = max(1, min(TOGETHER, NUMBERS // each)) * (1 if mesh is None else mesh.size)
     for start in range(0, len(lacking), step):
         which = lacking[start : start + step]
         found = _by_their_own(design, values[which], known[which], step, mesh)

@@ -130,6 +130,13 @@ def test_any_number_of_pixels_with_holes(pixels):
     assert fit.partial == pixels
 
 
+@pytest.mark.parametrize("numbers", [1, 3 * 29 * 12])
+def test_large_matrices_come_a_few_at_a_time(numbers, monkeypatch):
+    monkeypatch.setattr("hshjax.fitting._fit_pixels.NUMBERS", numbers)
+    values = with_holes(pixels=10)
+    assert_close(project_pixels(BASIS, LIGHTS, values).coefficients, of_each(values), tolerance=LOOSE)
+
+
 def test_half_floats_and_photographs_that_are_never_whole():
     values = with_holes().astype(np.float16)
     values[::3, 2] = np.nan
