@@ -109,8 +109,8 @@ class FromFile:
         return np.fromfile(self.path, self.dtype, (stop - start) * size, offset=offset).reshape(-1, *self.shape[1:])
 
 
-def of_pixels(pixels: int) -> dict[str, float]:
-    """Figures of a relightable image."""
+def of_pixels(pixels: int, missing: float = 0.0) -> dict[str, float]:
+    """Figures of a relightable image, in which a share of all values is missing here and there."""
     import numpy as np
 
     from benchmarks.project_scale import uniform_directions
@@ -123,7 +123,9 @@ def of_pixels(pixels: int) -> dict[str, float]:
             header = {"descr": "<f4", "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_1_0(file, header)
             for start in range(0, pixels, 2**15):
-                rng.random((min(2**15, pixels - start), *shape[1:]), np.float32).tofile(file)
+                values = rng.random((min(2**15, pixels - start), *shape[1:]), np.float32)
+                values[rng.random(values.shape[:2]) < missing] = np.nan
+                values.tofile(file)
         source = FromFile(f"{folder}/in.npy")
         project_pixels(HSH(3), lights, source[: 2**15])
         return measured(lambda: project_pixels(HSH(3), lights, source, out=f"{folder}/out.npy"))

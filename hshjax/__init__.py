@@ -95,6 +95,7 @@ from hshjax.fitting import (
     TableError as TableError,
     Tabulated as Tabulated,
     TileError as TileError,
+    coordinator as coordinator,
     device_mesh as device_mesh,
     fit as fit,
     fit_compact as fit_compact,

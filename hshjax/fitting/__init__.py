@@ -14,6 +14,7 @@ from hshjax.fitting._compact_posterior import (
     Trial as Trial,
 )
 from hshjax.fitting._compare import Comparison as Comparison, compare as compare
+from hshjax.fitting._coordinator import coordinator as coordinator
 from hshjax.fitting._fit import fit as fit
 from hshjax.fitting._folder import FolderFit as FolderFit, FolderItem as FolderItem, fit_folder as fit_folder
 from hshjax.fitting._guess import initial_guesses as initial_guesses

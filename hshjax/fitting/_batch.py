@@ -21,8 +21,11 @@ def project_all(basis: AbstractPairBasis, samples: Sequence[Samples], **settings
     - `settings`: see `project`. Of these `reciprocity` concerns all materials together and stays off.
 
     **Raises:** what `project` does; ValueError for materials that differ in a direction or a weight, no material, or a
-    request for `reciprocity`.
+    request for `reciprocity`; TypeError for what is no sequence of samples.
     """
+    if not isinstance(samples, Sequence) or not all(isinstance(one, Samples) for one in samples):
+        what = type(samples).__name__
+        raise TypeError(f"project_all needs a list of Samples, one for each material, got {what}")
     if settings.pop("reciprocity", None):
         raise ValueError("project_all does not measure reciprocity: hshjax.reciprocity_error does, for one material")
     if not samples:

@@ -1,6 +1,5 @@
 """Blocks of samples folded into the factors of a least-squares problem, and the state of that on the way."""
 
-import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
@@ -13,7 +12,8 @@ from jax.sharding import Mesh
 from hshjax._typing import Array, Float
 from hshjax.bases import AbstractPairBasis
 from hshjax.brdfs._linear import cosine_power
-from hshjax.fitting._checks import Counts, check_isotropy, check_values
+from hshjax.fitting._checks import Counts, check_isotropy, check_numbers, check_values
+from hshjax.fitting._finished import Finished, mark_of
 from hshjax.fitting._mesh import gathered, spread
 from hshjax.fitting._norms import Norm
 from hshjax.fitting._project import factorize
@@ -25,7 +25,7 @@ STEP = 2**16
 
 ANEW = "take another folder for the checkpoint, or empty it to begin anew"
 
-ENTRIES = "numbers", "total", "kind", "last"
+ENTRIES = "numbers", "total", "kind", "marks"
 """Of every state."""
 
 
@@ -34,8 +34,8 @@ class BlockSums:
 
     `factor`: R of [sqrt(w) B, sqrt(w) f] under the weight of the fit; `judged`: under that of the judge, None where it
     is the same. `counts` of samples; `seen`: those that have a weight in the fit. `kind` of the blocks, `begin`: the
-    number of the first block that is not among them. `last`: digest of the block before that one, if `keep`, for
-    whoever goes on to compare. `mesh`: a flat one of this process, which shares every step.
+    number of the first block that is not among them. `marks` of all of them, if `keep`, for whoever goes on to compare.
+    `mesh`: a flat one of this process, which shares every step.
     """
 
     def __init__(self, basis: AbstractPairBasis, norm: Norm, mesh: Mesh | None = None, *, keep: bool = False):
@@ -44,7 +44,8 @@ class BlockSums:
         self.factor: Array | None = None
         self.judged: Array | None = None
         self.kind: Kind | None = None
-        self.begin, self.last = 0, ""
+        self.begin = 0
+        self.marks: list[int] = []
 
     def fold(
         self,
@@ -52,30 +53,32 @@ class BlockSums:
         wanted: Callable[[int], bool] | None,
         on_block: Callable[[int], None],
         pause: Callable[[], bool],
+        finished: Finished,
     ) -> Iterator[None]:
         """Folds the blocks that are wanted, with a stop at the end and wherever `pause()` is true between two: there,
         all blocks that were read are in. `on_block(number)` after each.
 
-        **Raises:** BlockError where the last of the blocks that are in already does not come again as it was.
+        **Raises:** BlockError where one that is wanted though it is `finished` does not come again as it was.
         """
         reading = read_blocks(blocks, wanted, self.kind)
-        more, missing = True, self.begin > 0
+        more = True
 
         def until_pause() -> Iterator[Samples]:
-            nonlocal more, missing
+            nonlocal more
             for number, samples in reading:
-                if number < self.begin:  # it is in
-                    if _digest(samples) != self.last:
+                if number < finished.begin:
+                    if not finished.comes_again(_mark(samples)):
                         raise BlockError(number, f"is another one than the checkpoint holds: {ANEW}")
-                    missing = False
                     continue
                 yield self._counted(number, samples)
-                self.begin, self.last = number + 1, _digest(samples) if self.keep else ""
+                self.begin = number + 1
+                if self.keep:
+                    self.marks.append(_mark(samples))
                 on_block(number)
                 if pause():
                     return
-            if missing:
-                raise BlockError(self.begin - 1, f"is in the checkpoint, and does not come any more: {ANEW}")
+            if finished.missing:
+                raise BlockError(finished.begin - 1, f"is in the checkpoint, and does not come any more: {ANEW}")
             more = False
 
         while more:
@@ -88,6 +91,7 @@ class BlockSums:
         self.kind = kind_of(samples) if self.kind is None else self.kind
         try:
             check_isotropy(self.basis, samples)
+            check_numbers(samples)
             # Filled up to a power of two: a program is compiled for every size.
             whole = filled(samples, 1 << (samples.size - 1).bit_length())
             self.counts = self.counts.plus(check_values(whole, self.norm, samples.size))
@@ -115,7 +119,7 @@ class BlockSums:
             "numbers": np.asarray([self.counts.size, self.counts.used, self.counts.inside, self.seen, self.begin]),
             "total": np.asarray(self.counts.total, np.float64),
             "kind": np.asarray(json.dumps(self.kind)),
-            "last": np.asarray(self.last),
+            "marks": np.asarray(self.marks, np.uint32),
         }
 
     def include(self, state: dict[str, np.ndarray], who: str = "") -> None:
@@ -126,17 +130,14 @@ class BlockSums:
             raise ValueError(f"blocks of {who} are of another kind, {kind}, than those before, {self.kind}")
         self.kind = self.kind if kind is None else kind
         self.counts = self.counts.plus(Counts(size, used, inside, float(state["total"])))
-        self.seen, self.begin, self.last = self.seen + seen, max(self.begin, begin), str(state["last"])
+        self.seen, self.begin = self.seen + seen, max(self.begin, begin)
+        self.marks += state["marks"].tolist()
         self.factor = _both(self.factor, state.get("factor"))
         self.judged = _both(self.judged, state.get("judged"))
 
 
-def _digest(samples: Samples) -> str:
-    """SHA-256 of a block."""
-    found = hashlib.sha256()
-    for part in (samples.wi, samples.wo, samples.value, samples.weight):
-        found.update(np.ascontiguousarray(part).view(np.uint8).data)
-    return found.hexdigest()
+def _mark(samples: Samples) -> int:
+    return mark_of(samples.wi, samples.wo, samples.value, samples.weight)
 
 
 def _both(here: Array | None, there: np.ndarray | None) -> Array | None:

@@ -16,10 +16,14 @@ Found = TypeVar("Found")
 
 
 def check_devices(devices: Sequence[Any] | None) -> None:
-    """ValueError where there is none, or something else: a number, say."""
-    if devices is not None and not devices:
+    """ValueError where there is none, or something else; TypeError for what is no sequence: a number, say."""
+    if devices is None:
+        return
+    if not isinstance(devices, Sequence):
+        raise TypeError(f"devices must be a list of those of jax, such as jax.devices(), got {devices!r}")
+    if not devices:
         raise ValueError("work is done on one device or more, got none")
-    for device in devices or ():
+    for device in devices:
         if not isinstance(device, jax.Device):
             raise ValueError(f"devices must be those of jax, as jax.devices() gives them, got {device!r}")
 

@@ -62,6 +62,14 @@ def check_isotropy(basis: AbstractPairBasis, samples: Samples) -> None:
         )
 
 
+def check_numbers(samples: Samples) -> None:
+    """ValueError for samples of no channel, or of a dtype that nothing factorises matrices of."""
+    if samples.channels == 0:
+        raise ValueError("no sample to fit: values have no channel")
+    if samples.value.dtype not in (jnp.float32, jnp.float64):
+        raise ValueError(f"samples must be float32 or float64, got {samples.value.dtype}: convert them before the fit")
+
+
 def check_enough(counts: Counts, norm: Norm, unknowns: int, *, ridged: bool) -> None:
     """ValueError where the samples are too few."""
     if counts.used == 0:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from os import PathLike
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from hshjax.bases import HSH, IsotropicBasis
 from hshjax.brdfs import AbstractBRDF
@@ -15,7 +15,7 @@ from hshjax.fitting._compare import Comparison, compare
 from hshjax.fitting._folder_plan import Plan, planned
 from hshjax.fitting._folder_results import digest, settled, sweep, write_result
 from hshjax.fitting._folder_summary import line, row, summary, write_summary
-from hshjax.fitting._material import MaterialFit, MaterialModel, fit_material
+from hshjax.fitting._material import MaterialFit, MaterialModel, check_settings, fit_material
 from hshjax.fitting._programs import few_programs
 from hshjax.io.folder import Listed
 from hshjax.io.measured import Findings, Negatives, check_negatives
@@ -83,15 +83,14 @@ def fit_folder(
     - `devices`: materials go round over them. - `force`: what is there and another result is fitted anew and replaced.
     - `finish`, `watch`: see `Finish` and `Watch`. - `settings`: those of `fit_material`, for all alike.
 
-    **Raises:** ValueError for a folder without materials, results of other options (unless `force`), results that would
-    lie where the materials do; OSError where something cannot be written.
+    **Raises:** ValueError for settings that fit no material, a folder without materials, results of other options
+    (unless `force`), results that would lie where the materials do; OSError where something cannot be written.
     """
-    if model not in get_args(MaterialModel):
-        raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
     check_negatives(negatives)
     check_devices(devices)
     source, target = Path(folder), Path(out)
     settings = _bound(model, settings)
+    check_settings(model, *(settings[name] for name in ("basis", "norm", "ridge", "constraints")))
     said = {name: str(value) if name == "basis" else value for name, value in settings.items()}
     options = settled(said | {"negatives": negatives})
     plan = planned(source, target, options, recursive=recursive, force=force)

@@ -23,20 +23,20 @@ def map_over_mesh(function: Callable[[Any], Any], batch: Any, mesh: Mesh) -> Any
     - `batch`: a pytree whose arrays have a leading axis of equal length, of any number of elements.
     - `mesh`: see `project`. Where it is of several processes, all make the same call with the same batch.
 
-    **Returns:** results with the same leading axis, as arrays of one device.
+    **Returns:** results with the same leading axis, as arrays of one device. Keys of random numbers may be in both, but
+    what jax draws from those of "rbg" depends on the size of the batch, and so on the devices.
 
     **Raises:** ValueError where leading axes differ or there is no element, and inside a transformation of jax.
     """
     arrays, rest = eqx.partition(batch, eqx.is_array_like)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(arrays)):
         raise ValueError("inside a transformation of jax map_over_mesh cannot share out a batch: call it outside")
-    kinds = jax.tree.map(lambda leaf: jax.random.key_impl(leaf) if _is_key(leaf) else "", arrays)
+    kinds = _kinds(arrays)
     # Numpy has no keys of random numbers: they travel as the integers that they are.
-    arrays = jax.tree.map(lambda leaf: np.asarray(jax.random.key_data(leaf) if _is_key(leaf) else leaf), arrays)
+    arrays = jax.tree.map(np.asarray, _as_integers(arrays))
 
     def element(one):
-        one = jax.tree.map(lambda leaf, kind: jax.random.wrap_key_data(leaf, impl=kind) if kind else leaf, one, kinds)
-        return function(eqx.combine(one, rest))
+        return function(eqx.combine(_as_keys(one, kinds), rest))
 
     lengths = {leaf.shape[:1] for leaf in jax.tree.leaves(arrays)}
     if len(lengths) != 1 or lengths & {(), (0,)}:
@@ -51,15 +51,32 @@ def map_over_mesh(function: Callable[[Any], Any], batch: Any, mesh: Mesh) -> Any
         return put(np.concatenate([leaf, np.repeat(leaf[-1:], lacking, axis=0)]), mesh)
 
     def share(arrays):
-        return jax.vmap(lambda one: eqx.filter(element(one), eqx.is_array))(arrays)
+        return jax.vmap(lambda one: _as_integers(eqx.filter(element(one), eqx.is_array)))(arrays)
 
-    static = eqx.filter_eval_shape(element, jax.tree.map(lambda a: a[0], arrays))
-    static = eqx.filter(static, lambda leaf: isinstance(leaf, jax.ShapeDtypeStruct), inverse=True)
+    def besides(one):  # what is no array, of which jax knows nothing
+        found, static = eqx.partition(element(one), eqx.is_array)
+        return _kinds(found), static
+
+    kinds_found, static = eqx.filter_eval_shape(besides, jax.tree.map(lambda a: a[0], arrays))
     each = jax.shard_map(share, mesh=mesh, in_specs=SHARES, out_specs=SHARES, check_vma=False)
     run = jax.jit(each, out_shardings=jax.NamedSharding(mesh, ALIKE))
     found = jax.tree.map(lambda leaf: leaf[:count], gathered(run(jax.tree.map(placed, arrays)), mesh))
-    return eqx.combine(found, static)
+    return eqx.combine(_as_keys(found, kinds_found), static)
 
 
 def _is_key(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array) and jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _kinds(tree: Any) -> Any:
+    """Which keys every leaf holds; "" where it has none."""
+    return jax.tree.map(lambda leaf: jax.random.key_impl(leaf) if _is_key(leaf) else "", tree)
+
+
+def _as_integers(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)
+
+
+def _as_keys(tree: Any, kinds: Any) -> Any:
+    """What was `_as_integers`."""
+    return jax.tree.map(lambda leaf, kind: jax.random.wrap_key_data(leaf, impl=kind) if kind else leaf, tree, kinds)

@@ -15,6 +15,7 @@ from hshjax.brdfs._known import known, table_samples
 from hshjax.fitting._checks import check_values
 from hshjax.fitting._compact import CompactFit, fit_compact, half_vector_samples
 from hshjax.fitting._compact_posterior import CompactPosterior
+from hshjax.fitting._constraints import check_constraints
 from hshjax.fitting._fit import fit
 from hshjax.fitting._guess import initial_guesses
 from hshjax.fitting._infer_compact import infer_compact
@@ -22,6 +23,7 @@ from hshjax.fitting._mappings import CosineWeighted
 from hshjax.fitting._multi_start import multi_start
 from hshjax.fitting._norms import named_norm
 from hshjax.fitting._positive_start import positive_start
+from hshjax.fitting._prior import penalty
 from hshjax.fitting._project import SEARCHED, WHOLE, project
 from hshjax.fitting._project_by_moments import project_by_moments
 from hshjax.fitting._result import Fit, IterativeFit
@@ -82,8 +84,7 @@ def fit_material(
     **Raises:** ValueError as these functions do; for another model, and another one than linear where the BRDF is
     anisotropic.
     """
-    if model not in get_args(MaterialModel):
-        raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
+    check_settings(model, basis, norm, ridge, constraints)
     pairs, notes = IsotropicBasis(HSH(8)) if basis is None else basis, ()
     if not isinstance(data, Samples) and not is_isotropic(data):
         if model != "linear":
@@ -116,6 +117,19 @@ def fit_material(
     if model == "exp":
         return _exponential(pairs, samples, ridge, max_steps, begin)._replace(notes=notes)
     return _lobe(model, samples, max_steps, begin)._replace(notes=notes)
+
+
+def check_settings(
+    model: str, basis: AbstractPairBasis | None, norm: str, ridge: float, constraints: tuple[str, ...]
+) -> None:
+    """What `fit_material` refuses whatever the material is: ValueError, TypeError for what is no basis."""
+    if model not in get_args(MaterialModel):
+        raise ValueError(f"model must be one of {', '.join(get_args(MaterialModel))}, got {model!r}")
+    basis = IsotropicBasis(HSH(8)) if basis is None else basis
+    penalty(basis, ridge, None)
+    if model == "linear":
+        named_norm(norm)
+        check_constraints(constraints, rounds=1)  # which nobody sets here
 
 
 def _anisotropic(pairs: AbstractPairBasis) -> HelmholtzBasis | TensorBasis:

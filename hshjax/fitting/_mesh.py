@@ -40,13 +40,21 @@ def device_mesh(count: int | None = None) -> Mesh:
 
 
 def flat_mesh(mesh: Mesh) -> Mesh:
-    """All devices of a mesh along one axis, of which XLA is free to choose the layout of what is not said."""
+    """All devices of a mesh along one axis, of which XLA is free to choose the layout of what is not said.
+
+    **Raises:** TypeError for what is no mesh: a number of devices, say.
+    """
+    if not isinstance(mesh, Mesh):
+        raise TypeError(f"mesh must be a mesh of jax, such as device_mesh(4), got {mesh!r}")
     return Mesh(mesh.devices.ravel(), (AXIS,))
 
 
 def own_mesh(mesh: Mesh) -> Mesh:
-    """The devices of a mesh that belong to this process, along one axis; ValueError where none does."""
-    own = [device for device in mesh.devices.flat if device.process_index == jax.process_index()]
+    """The devices of a mesh that belong to this process, along one axis; ValueError where none does.
+
+    **Raises:** TypeError as of `flat_mesh`.
+    """
+    own = [device for device in flat_mesh(mesh).devices.flat if device.process_index == jax.process_index()]
     if not own:
         raise ValueError(f"no device of the mesh belongs to process {jax.process_index()}, which was to take part")
     return Mesh(np.asarray(own), (AXIS,))

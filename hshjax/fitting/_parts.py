@@ -2,7 +2,9 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 
 class PartError(ValueError):
@@ -28,3 +30,11 @@ def naming(part: str) -> Iterator[None]:
     except Exception as error:
         error.add_note(f"while {part} was read")
         raise
+
+
+def native(array: Any) -> np.ndarray:
+    """An array in the order of bytes of the machine, as jax takes it; float64 where it has more digits."""
+    array = np.asarray(array)
+    if array.dtype.kind == "f" and array.dtype.itemsize > 8:
+        return array.astype(np.float64)
+    return array.astype(array.dtype.newbyteorder("="), copy=False)

@@ -1,5 +1,6 @@
 """Quadratic priors on coefficients: the Γ of the closed form."""
 
+import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -36,10 +37,11 @@ def penalty_of(
     (n(n+1) + p(p+1))², the squared Laplacian of a function of order n in one direction and p in the other, if there is
     one: 0 for the constant, growing with the fourth power of the order.
 
-    **Raises:** ValueError for a negative ridge, a prior of the wrong shape or sign, or a prior that a ridge of 0 mutes.
+    **Raises:** ValueError for a ridge that is negative or not finite, a prior of the wrong shape or sign or not finite,
+    or a prior that a ridge of 0 mutes.
     """
-    if not ridge >= 0:
-        raise ValueError(f"ridge must be >= 0, got {ridge}")
+    if not 0 <= ridge < math.inf:
+        raise ValueError(f"ridge must be finite and >= 0, got {ridge}")
     if prior is None:
         diagonal = np.ones(count)
     elif isinstance(prior, str):
@@ -49,10 +51,11 @@ def penalty_of(
         diagonal = np.sum(orders * (orders + 1), axis=1) ** 2
     else:
         diagonal = np.asarray(prior, np.float64)
-        if diagonal.shape != (count,) or not np.all(diagonal >= 0):
-            raise ValueError(
-                f"prior must hold one number >= 0 for each of the {count} modes, got shape {diagonal.shape}"
-            )
+        if diagonal.shape != (count,):
+            raise ValueError(f"prior must hold one number for each of the {count} modes, got shape {diagonal.shape}")
+        bad = ~((diagonal >= 0) & np.isfinite(diagonal))
+        if bad.any():
+            raise ValueError(f"prior must be finite and >= 0, got {diagonal[np.argmax(bad)]} for mode {np.argmax(bad)}")
     if ridge == 0:
         if prior is not None:
             raise ValueError("a prior acts through its ridge: give ridge > 0 with it")

@@ -1,8 +1,9 @@
 """Processes that share a call: the first puts together what each has found, and a lost one is named in bounded time.
 
 Everything goes through the key-value store of jax's coordination service, which `jax.distributed.initialize` starts in
-process 0: unlike a collective, it tells who is missing. A thread of every process writes a beat there; the first
-process watches the beats of all, and what it has to say of a lost one ends the others too.
+process 0, unless a `coordinator` has it: unlike a collective, it tells who is missing. A thread of every process writes
+a beat there; the first process watches the beats of all, all watch that of the first, and what one has to say of a lost
+one ends the others too.
 """
 
 import time
@@ -142,23 +143,25 @@ class Processes:
         try:
             while not self._ended.is_set():
                 beats += 1
-                self._set(f"beat/{self.index}", str(beats))
+                self._set(f"{_place(self.index)}/{self.index}", str(beats))
                 said = self._all("lost")
                 if said and not self._lost:
                     self._lost = next(iter(said.values()))
-                if self.index == 0 and not self._lost:
+                if not self._lost:
                     self._watch()
                 self._ended.wait(self._timeout / BEATS)
         except Exception as error:
             self._failure = error  # `check` raises it
 
     def _watch(self) -> None:
-        now, beats, gone = time.monotonic(), self._all("beat"), self._all("gone")
-        for k in range(self.count):
+        """The first process listens to the others, and they to the first: n questions at a time, not n²."""
+        others = range(1, self.count) if self.index == 0 else [0]
+        now, beats = time.monotonic(), self._all(_place(others[0]))
+        for k in others:
             beat = beats.get(str(k), "")
             if beat != self._heard[k][1]:
                 self._heard[k] = now, beat
-            if now - self._heard[k][0] > self._timeout and str(k) not in gone:
+            if now - self._heard[k][0] > self._timeout and str(k) not in self._all("gone"):
                 self._say(f"process {self.ids[k]} has not reported for {self._timeout:g} s")
                 return
 
@@ -167,11 +170,16 @@ class Processes:
         end = time.monotonic() + self._timeout
         while time.monotonic() < end:
             told, now = self._all("told"), time.monotonic()
-            living = [k for k, (heard, _) in enumerate(self._heard) if now - heard < self._timeout]
+            living = [k for k, (heard, _) in enumerate(self._heard) if k == 0 or now - heard < self._timeout]
             if all(str(k) in told for k in living):
                 time.sleep(FAREWELL)
                 return
             time.sleep(PAUSE)
+
+
+def _place(index: int) -> str:
+    """Where a process writes its beats."""
+    return "first" if index == 0 else "beat"
 
 
 def check_same_call(calls: Sequence[Any]) -> None:

@@ -23,7 +23,7 @@ from hshjax.bases import AbstractPairBasis, AbstractProductBasis
 from hshjax.bases._base import matmul
 from hshjax.brdfs._linear import LinearBRDF, cosine_power
 from hshjax.fitting._blocks import ROWS
-from hshjax.fitting._checks import check_determined, check_isotropy, check_samples
+from hshjax.fitting._checks import check_determined, check_isotropy, check_numbers, check_samples
 from hshjax.fitting._constraints import check_constraints
 from hshjax.fitting._lapack import suited_threads
 from hshjax.fitting._mesh import flat_mesh, fold_each, gathered, spread
@@ -105,6 +105,7 @@ def project(
     visible = not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(samples))
     samples = _in_one_dtype(samples)
     check_isotropy(basis, samples)
+    check_numbers(samples)
     used, total = samples.size, WHOLE
     if visible:
         _, used, _, total = check_samples(samples, chosen, unknowns, ridged=gamma is not None)

@@ -20,6 +20,7 @@ from hshjax.brdfs._linear import LinearBRDF
 from hshjax.fitting._block_sums import ENTRIES, BlockSums
 from hshjax.fitting._checkpoint import Checkpoint, fingerprint, packed, unpacked
 from hshjax.fitting._checks import check_determined, check_enough
+from hshjax.fitting._finished import Finished, Verify, check_verify
 from hshjax.fitting._lapack import suited_threads
 from hshjax.fitting._mesh import own_mesh
 from hshjax.fitting._misfit import ratio
@@ -43,6 +44,7 @@ def project_blocks(
     mesh: Mesh | None = None,
     checkpoint: str | PathLike | None = None,
     every: float = 30.0,
+    verify: Verify = "last",
     timeout: float = 60.0,
     on_block: Callable[[int, int | None], None] | None = None,
 ) -> Fit[LinearBRDF]:
@@ -59,9 +61,9 @@ def project_blocks(
     - `checkpoint`: a folder for what has been done, one file a process, written beside and renamed every so many
       seconds (`every`; 0 for after each block) and at the end of the pass. The same call, with as many processes,
       goes on after the blocks that are in it, on any number of devices, and also after an error; `ridge`, `prior` and
-      `covariance` may be others. Each process reads the last of its blocks that are in once more, to see that it is
-      the same; of the others nothing is known. One run at a time has the folder. The files are removed when the fit is
-      returned.
+      `covariance` may be others. One run at a time has the folder. The files are removed when the fit is returned.
+    - `verify`: which of the blocks that are in are read once more by a call that goes on, to see that they are the same
+      (CRC-32): "last", of each process, and a change in others is not seen; or "all".
     - `timeout`: seconds without a sign of life after which another process counts as lost, from this call on. jax ends
       all processes by itself when `heartbeat_timeout_seconds` of `jax.distributed.initialize` have passed, or as soon
       as process 0 is lost: keep this less.
@@ -69,14 +71,15 @@ def project_blocks(
 
     **Returns:** the `Fit` that `project` gives of all samples together, to rounding.
 
-    **Raises:** BlockError, naming the block, for one that is no `Samples`, differs from the first in channels, dtype
-    or `isotropic`, or holds what `project` refuses, where fewer or more blocks come than the length says, and where the
-    last that is in the checkpoint is another one now. What reading raises is passed on, with a note that names the
-    block. ValueError as of `project` where all blocks together do not determine the fit; for a checkpoint of another
-    basis, norm, length or number of processes, and for one that another run is using. ProcessError in every process
-    that is left, where one is lost or has ended with an error.
+    **Raises:** BlockError, naming the block, for one that is no `Samples`, differs from the first in channels, dtype or
+    `isotropic`, or holds what `project` refuses, where fewer or more blocks come than the length says, and where one
+    that is in the checkpoint and read once more is another one now. What reading raises is passed on, with a note that
+    names the block. ValueError as of `project` where all blocks together do not determine the fit; for a checkpoint of
+    another basis, norm, length or number of processes, and for one that another run is using. ProcessError in every
+    process that is left, where one is lost or has ended with an error.
     """
     check_source(blocks)
+    check_verify(verify)
     chosen = named_norm(norm)
     gamma = penalty(basis, ridge, prior)
     length = len(blocks) if isinstance(blocks, Sized) else None
@@ -94,18 +97,21 @@ def project_blocks(
         before = None if saved is None else saved.load(*ENTRIES)
         if before is not None:
             sums.include(before)
-        begin = sums.begin
+        finished = Finished(verify, sums.marks, sums.begin)
 
-        def wanted(number: int) -> bool:  # the last that is in, too, to see that it is the same
-            return number >= begin - 1 and number % count == index
+        def wanted(number: int) -> bool:
+            return finished.wanted(number) and number % count == index
 
         def said(number: int) -> None:
             processes.check()
             if on_block is not None:
                 on_block(number, length)
 
-        everything = begin == 0 and count == 1
-        for _ in sums.fold(blocks, None if everything else wanted, said, lambda: saved is not None and saved.due):
+        def due() -> bool:
+            return saved is not None and saved.due
+
+        everything = finished.begin == 0 and count == 1
+        for _ in sums.fold(blocks, None if everything else wanted, said, due, finished):
             if saved is not None:
                 saved.save(sums.state())
         if count > 1:

@@ -1,5 +1,6 @@
 """Samples in blocks: from arrays of which a slice at a time is read, checked, cut to one size."""
 
+import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence, Sized
 from typing import Any, overload
 
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array
-from hshjax.fitting._parts import PartError, naming
+from hshjax.fitting._parts import PartError, naming, native
 from hshjax.geometry import common_dtype
 from hshjax.samples import Samples
 
@@ -29,7 +30,8 @@ class SampleBlocks(Sequence[Samples]):
       `array[start:stop]`: of numpy, memory-mapped, datasets of h5py, arrays of zarr.
     - `rows`: of a block; the last one may have fewer. - `isotropic`: see `Samples`.
 
-    **Raises:** ValueError where shapes disagree; TypeError for what has no shape, such as a path.
+    **Raises:** ValueError where shapes disagree; TypeError for what has no shape, such as a path. BlockError, by the
+    block that is asked for, where fewer rows come, or other than real numbers, or some that are masked.
     """
 
     def __init__(self, wi: Any, wo: Any, value: Any, weight: Any = None, *, rows: int = 2**18, isotropic: bool = False):
@@ -45,6 +47,7 @@ class SampleBlocks(Sequence[Samples]):
                     f"blocks need wi (n, 3), wo (n, 3), value (n, channels), weight (n,); got n = {n} from wi and "
                     f"{name} of shape {tuple(part.shape)}"
                 )
+        rows = operator.index(rows)
         if rows < 1:
             raise ValueError(f"rows of a block must be at least 1, got {rows}")
         self._size, self._rows, self._isotropic = n, rows, isotropic
@@ -63,12 +66,18 @@ class SampleBlocks(Sequence[Samples]):
             return [self[k] for k in range(*number.indices(len(self)))]
         if not -len(self) <= number < len(self):
             raise IndexError(f"block {number} of {len(self)}")
-        start = number % len(self) * self._rows
+        number %= len(self)
+        start = number * self._rows
         rows = min(self._rows, self._size - start)
-        parts = {name: np.asarray(part[start : start + rows]) for name, part in self._parts.items()}
-        for name, part in parts.items():  # a file may have become shorter than its header says
-            if len(part) != rows:
-                raise BlockError(number % len(self), f"expected {rows} rows of {name} from {start} on, got {len(part)}")
+        parts = {name: part[start : start + rows] for name, part in self._parts.items()}
+        for name, part in parts.items():
+            if isinstance(part, np.ma.MaskedArray):  # whose mask nobody would look at
+                raise BlockError(number, f"{name} is a masked array: mask samples by the weight 0")
+            parts[name] = found = native(part)
+            if len(found) != rows:  # a file may have become shorter than its header says
+                raise BlockError(number, f"expected {rows} rows of {name} from {start} on, got {len(found)}")
+            if not (found.dtype.kind in "iub" or jnp.issubdtype(found.dtype, jnp.floating)):
+                raise BlockError(number, f"expected real numbers for {name}, got {found.dtype}")
         parts = {name: jnp.asarray(part) for name, part in parts.items()}
         return Samples.scattered(**parts, isotropic=self._isotropic)
 

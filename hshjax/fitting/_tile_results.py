@@ -29,7 +29,8 @@ class TileResults:
       is not whole yet lies in the folder `unfinished`.
     - `array`: what has been written to, None before.
 
-    **Raises:** ValueError for a path that is a folder, has the suffix of another format, or too long a name.
+    **Raises:** ValueError for a path that is a folder, has the suffix of another format, or too long a name; TypeError
+    for what has no shape.
     """
 
     def __init__(self, out: Any):
@@ -42,6 +43,8 @@ class TileResults:
             )
         self.array: Any = None if self.path is not None else out
         self.unfinished = None if self.path is None else self.path.with_name(f".{self.path.name}.unfinished")
+        if self.array is not None and not hasattr(self.array, "shape"):
+            raise TypeError(f"out must be an array, a path or None, got {type(out).__name__}")
         self._parts: list[np.ndarray] | None = [] if out is None else None
         size = 0 if self.unfinished is None else len(os.fsencode(self.unfinished.name))
         if self.unfinished is not None and size > LONGEST:
@@ -92,17 +95,21 @@ class TileResults:
         """What to do where what is done is not to be gone on with."""
         return f"remove {self.unfinished or 'the checkpoint'} to begin anew"
 
-    def check(self, tile: Tile, coefficients: np.ndarray, condition: float) -> None:
-        """TileError where `out` has other coefficients of a tile that is done, beyond rounding at that condition
-        number: the photographs are others, or `out` is."""
+    def check(self, tile: Tile, coefficients: np.ndarray, conditions: np.ndarray) -> None:
+        """TileError where `out` has other coefficients of a tile that is done, beyond rounding at the condition numbers
+        of its pixels, or NaN elsewhere."""
         there = np.asarray(self.array[tile.start : tile.start + len(coefficients)])
         step = max(float(jnp.finfo(one.dtype).eps) for one in (there, coefficients))
-        limit = max(step**0.5, condition * step) * np.max(np.abs(coefficients))
-        if there.shape != coefficients.shape or not np.all(np.abs(there - coefficients) <= limit):
-            raise TileError(
-                tile.number,
-                f"was done and out does not hold its fit: photographs, or out, are others than before: {self.anew}",
-            )
+        known = np.isfinite(conditions)
+        sizes = np.max(np.abs(coefficients), axis=(1, 2))
+        usual = np.median(sizes[known]) if known.any() else 0.0  # one that is ill-determined does not speak for others
+        limits = np.maximum(step**0.5, conditions[known] * step) * np.maximum(sizes[known], usual)
+        if (
+            there.shape != coefficients.shape
+            or not np.isnan(there[~known]).all()
+            or not np.all(np.abs(there[known] - coefficients[known]) <= limits[:, None, None])
+        ):
+            raise TileError(tile.number, f"was done, and out does not hold its fit: {self.anew}")
 
     def write(self, tile: Tile, coefficients: np.ndarray) -> None:
         """The coefficients of a tile in their place; TileError for pixels beyond the end."""

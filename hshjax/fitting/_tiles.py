@@ -1,13 +1,15 @@
 """Pixels in tiles, from arrays of which a slice at a time is read, or from whatever yields them."""
 
+import operator
 from collections.abc import Callable, Iterator
 from itertools import chain
 from os import PathLike
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from hshjax.fitting._parts import PartError, naming
+from hshjax.fitting._parts import PartError, naming, native
 
 
 class TileError(PartError):
@@ -33,18 +35,22 @@ class Tiles:
 
     - `source`: anything with `shape` that gives an array for `source[start:stop]`, cut into tiles of `rows` pixels; or
       anything that yields tiles, of which all are gone through. - `lights`: how many there are.
-    - `pixels`: how many there are, None where that is not known. - `channels`, `dtype`: of all, and `kind`, in words.
+    - `pixels`: how many there are, None where that is not known. - `rows`: of a tile. - `channels`, `dtype`: of all,
+      and `kind`, in words.
 
-    **Raises:** ValueError for a shape that is not (pixels, lights, channels), and for rows < 1; TypeError for a path;
-    TileError for the first tile, see `read`.
+    **Raises:** ValueError for a shape that is not (pixels, lights, channels), and for rows < 1; TypeError for a path,
+    and for what is no source; TileError for the first tile, see `read`.
     """
 
     def __init__(self, source: Any, rows: int, lights: int):
+        rows = operator.index(rows)
         if rows < 1:
             raise ValueError(f"rows of a tile must be at least 1, got {rows}")
         if isinstance(source, str | PathLike):
             raise TypeError(f'photographs must be an array, got a path: np.load({str(source)!r}, "r") opens it')
-        self._source, self._rows, self._lights = source, rows, lights
+        if not hasattr(source, "shape") and not hasattr(source, "__iter__"):
+            raise TypeError(f"photographs must be an array, or yield tiles of one, got {type(source).__name__}")
+        self._source, self.rows, self._lights = source, rows, lights
         self.pixels: int | None = None
         if hasattr(source, "shape"):
             shape = tuple(int(size) for size in source.shape)
@@ -52,11 +58,11 @@ class Tiles:
                 raise ValueError(f"photographs must be (pixels, {lights} lights, channels), got {shape}")
             self.pixels = shape[0]
             with naming("tile 0 of pixels"):
-                first = np.asarray(source[0:1])
+                first = _values(source[0:1])
         else:
             self._tiles = iter(source)
             with naming("tile 0 of pixels"):
-                first = np.asarray(next(self._tiles, np.zeros((0, lights, 0))))
+                first = _values(next(self._tiles, np.zeros((0, lights, 0))))
             self._tiles = chain([first], self._tiles)
         self._check(0, first, None)
         self.channels, self.dtype = first.shape[2], first.dtype
@@ -65,7 +71,7 @@ class Tiles:
     def __len__(self) -> int:
         """Of a source with a shape."""
         assert self.pixels is not None  # or it is not known
-        return -(-self.pixels // self._rows)
+        return -(-self.pixels // self.rows)
 
     def read(self, wanted: Callable[[int], bool]) -> Iterator[Tile]:
         """The tiles that are wanted, in order.
@@ -87,10 +93,10 @@ class Tiles:
 
     def _cut(self, pixels: int, wanted: Callable[[int], bool]) -> Iterator[Tile]:
         for number in filter(wanted, range(len(self))):
-            start = number * self._rows
-            stop = min(start + self._rows, pixels)
+            start = number * self.rows
+            stop = min(start + self.rows, pixels)
             with naming(f"tile {number} of pixels"):
-                values = np.asarray(self._source[start:stop])
+                values = _values(self._source[start:stop])
             if len(values) != stop - start:  # a file may have become shorter than its header says
                 raise TileError(number, f"expected {stop - start} pixels from {start} on, got {len(values)}")
             yield Tile(number, start, values)
@@ -100,7 +106,7 @@ class Tiles:
         while True:
             with naming(f"tile {number} of pixels"):
                 try:
-                    values = np.asarray(next(self._tiles))
+                    values = _values(next(self._tiles))
                 except StopIteration:
                     return
             if wanted(number):
@@ -109,22 +115,35 @@ class Tiles:
             number += 1
 
 
+def _values(part: Any) -> np.ndarray:
+    """Pixels as they are computed with: what is masked is NaN, of integers in jax's default dtype."""
+    if isinstance(part, np.ma.MaskedArray) and part.dtype.kind in "fiu":
+        part = np.ma.filled(part.astype(part.dtype if part.dtype.kind == "f" else jnp.zeros(()).dtype), np.nan)
+    return native(part)
+
+
 def _kind(values: np.ndarray) -> str:
     return f"{values.shape[2]} channels of {values.dtype.name}"
 
 
-def finite_values(tile: Tile, dtype: np.dtype, used: np.ndarray) -> np.ndarray:
-    """The values in `dtype`; TileError for those that are not finite in it, under a light that is used."""
+def known_values(tile: Tile, dtype: np.dtype, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The values in `dtype`, and which lights are known in which pixels `(pixels, lights)`: those that are NaN in no
+    channel, whatever lights are `used`.
+
+    **Raises:** TileError for values that are infinite in that dtype, under a light that is used.
+    """
     with np.errstate(over="ignore"):  # what is infinite then is told
         values = tile.values.astype(dtype)
     if tile.values.dtype.kind != "f":
-        return values
-    bad = ~np.isfinite(values).all(axis=2) & used
-    if bad.any():
-        pixel, light = np.argwhere(bad)[0]
-        raise TileError(
-            tile.number,
-            f"{bad.sum()} values are NaN or infinite in {dtype}, the first of pixel {tile.start + pixel} under light "
-            f"{light}: give that light the weight 0, or fill them in",
-        )
-    return values
+        return values, np.ones(values.shape[:2], bool)
+    known = np.asarray(np.isfinite(values).all(axis=2))
+    if not known.all():
+        infinite = np.isinf(values).any(axis=2) & used
+        if infinite.any():
+            pixel, light = np.argwhere(infinite)[0]
+            raise TileError(
+                tile.number,
+                f"{infinite.sum()} values are infinite in {dtype}, the first of pixel {tile.start + pixel} under light "
+                f"{light}: make them NaN where nothing is known, or give that light the weight 0",
+            )
+    return values, known

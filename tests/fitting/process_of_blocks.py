@@ -17,11 +17,13 @@ def main() -> None:
     parser.add_argument("--kill-after", type=int, help="blocks after which this process is gone, without a word")
     parser.add_argument("--timeout", type=float, default=60.0)
     parser.add_argument("--order", type=int, default=2)
+    parser.add_argument("--beside", action="store_true", help="the coordination service is none of the processes'")
     parser.add_argument("--what", choices=("blocks", "whole", "pixels"), default="blocks")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_num_cpu_devices", arguments.devices)
-    jax.distributed.initialize(f"127.0.0.1:{arguments.port}", arguments.of, arguments.process)
+    own = {"coordinator_bind_address": "127.0.0.1:0"} if arguments.beside else {}
+    jax.distributed.initialize(f"127.0.0.1:{arguments.port}", arguments.of, arguments.process, **own)
 
     from hshjax import HSH, IsotropicBasis, SampleBlocks, device_mesh, project, project_blocks, project_pixels
 
@@ -52,6 +54,8 @@ def main() -> None:
         fit = fitted()
     except Exception as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        if arguments.beside:
+            sys.exit(3)
         os._exit(3)  # not by way of jax, which would wait for the process that is gone
     coefficients = fit.coefficients if arguments.what == "pixels" else fit.model.coefficients
     np.savez(f"{folder}/fit-{arguments.process}.npz", coefficients=coefficients, residual=fit.residual)

@@ -27,6 +27,37 @@ def test_other_samples(changed, tmp_path):
         project_blocks(BASIS, SampleBlocks(*parts, rows=300, isotropic=True), checkpoint=tmp_path)
 
 
+def test_one_other_block_among_the_first(tmp_path):
+    """Is seen where all are read again; from a sequence and from a generator."""
+    interrupted(tmp_path)
+    parts = list(arrays())
+    parts[2] = parts[2].copy()
+    parts[2][350] = 0.125
+    with pytest.raises(BlockError, match="block 1: is another one than the checkpoint holds"):
+        project_blocks(BASIS, SampleBlocks(*parts, rows=300, isotropic=True), checkpoint=tmp_path, verify="all")
+    blocks, said = blocks_of(), []
+    project_blocks(BASIS, blocks, checkpoint=tmp_path, verify="all", on_block=lambda number, of: said.append(number))
+    assert blocks.read == list(range(10))
+    assert said == list(range(4, 10))
+
+
+def test_a_generator_whose_blocks_are_all_compared(tmp_path):
+    def breaking(source):
+        yield from source[:4]
+        raise OSError("the disk is gone")
+
+    with pytest.raises(OSError, match="the disk is gone"):
+        project_blocks(BASIS, breaking(blocks_of()), checkpoint=tmp_path, every=0.0)
+    other = list(blocks_of())
+    other[1] = other[2]
+    with pytest.raises(BlockError, match="block 1: is another one than the checkpoint holds"):
+        project_blocks(BASIS, iter(other), checkpoint=tmp_path, verify="all")
+    with pytest.raises(BlockError, match="block 3: is in the checkpoint, and does not come any more"):
+        project_blocks(BASIS, iter(blocks_of()[:2]), checkpoint=tmp_path, verify="all")
+    got = project_blocks(BASIS, iter(blocks_of()), checkpoint=tmp_path, verify="all")
+    np.testing.assert_array_equal(got.samples, project_blocks(BASIS, blocks_of()).samples)
+
+
 def test_a_generator_that_yields_fewer(tmp_path):
     def breaking():
         yield from blocks_of()[:4]
@@ -87,7 +118,7 @@ def test_errors_of_the_disk_stay_errors(tmp_path, monkeypatch):
         pass
 
 
-@pytest.mark.parametrize("name", ["numbers", "total", "kind", "last"])
+@pytest.mark.parametrize("name", ["numbers", "total", "kind", "marks"])
 def test_a_state_that_lacks_an_entry_is_damaged(name, tmp_path):
     interrupted(tmp_path)
     (file,) = tmp_path.iterdir()

@@ -94,14 +94,14 @@ def test_a_ridge_that_is_too_small_is_named():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"ridge": -1.0}, r"ridge must be >= 0, got -1.0"),
-        ({"ridge": float("nan")}, r"ridge must be >= 0, got nan"),
+        ({"ridge": -1.0}, r"ridge must be finite and >= 0, got -1.0"),
+        ({"ridge": float("nan")}, r"ridge must be finite and >= 0, got nan"),
         ({"prior": "spectral"}, r"give ridge > 0"),
         ({"prior": np.ones(UNKNOWNS)}, r"give ridge > 0"),
         ({"ridge": 1.0, "prior": np.ones(UNKNOWNS + 1)}, r"each of the 4 modes, got shape \(5,\)"),
         ({"ridge": 1.0, "prior": np.ones((UNKNOWNS, 1))}, r"each of the 4 modes, got shape \(4, 1\)"),
-        ({"ridge": 1.0, "prior": -np.ones(UNKNOWNS)}, r"one number >= 0"),
-        ({"ridge": 1.0, "prior": np.full(UNKNOWNS, np.nan)}, r"one number >= 0"),
+        ({"ridge": 1.0, "prior": -np.ones(UNKNOWNS)}, r"prior must be finite and >= 0, got -1.0 for mode 0"),
+        ({"ridge": 1.0, "prior": np.full(UNKNOWNS, np.nan)}, r"prior must be finite and >= 0, got nan for mode 0"),
         ({"norm": "L2"}, r"norm must be one of A, B, C, D, E"),
     ],
 )

@@ -317,3 +317,20 @@ def test_what_lies_where_results_go_is_told_before_the_first_fit(folder, tmp_pat
 def test_another_model_is_refused_before_anything_is_read(folder, tmp_path, unchecked):
     with pytest.raises(ValueError, match="model must be one of linear"):
         fit_folder(folder, tmp_path / "out", "lambert")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"norm": "Z"}, "norm must be one of A, B, C, D, E"),
+        ({"ridge": np.inf}, "ridge must be finite and >= 0, got inf"),
+        ({"ridge": -1.0, "model": "exp"}, "ridge must be finite and >= 0, got -1.0"),
+        ({"constraints": ("positive",)}, "constraints must be a tuple of names among"),
+        ({"basis": HSH(2)}, "a basis of pairs of directions, .* got HSH"),
+        ({"devices": 2}, "devices must be a list of those of jax, such as jax.devices(), got 2"),
+    ],
+)
+def test_settings_that_fit_no_material_are_no_fault_of_each(settings, message, folder, tmp_path, unchecked):
+    with pytest.raises((ValueError, TypeError), match=message.replace("()", r"\(\)")):
+        fit_folder(folder, tmp_path / "out", **SMALL | settings)
+    assert not (tmp_path / "out").exists()

@@ -28,10 +28,34 @@ def empty(dtype=DTYPE):
 def test_other_photographs(tmp_path):
     out = tmp_path / "out.npy"
     interrupted(out=out)
-    message = f"tile 2: was done and out does not hold its fit: .* remove {tmp_path}/.out.npy.unfinished to begin anew"
-    with pytest.raises(TileError, match=message):
-        project_pixels(BASIS, LIGHTS, photographs(seed=1), rows=20, out=out)
+    message = f"was done with other photographs than these: remove {tmp_path}/.out.npy.unfinished to begin anew"
+    for verify, tile in (("last", 2), ("all", 0)):
+        with pytest.raises(TileError, match=f"tile {tile}: {message}"):
+            project_pixels(BASIS, LIGHTS, photographs(seed=1), rows=20, out=out, verify=verify)
     same(project_pixels(BASIS, LIGHTS, photographs(), rows=20, out=out), photographs())
+
+
+def test_one_other_photograph_among_the_first(tmp_path):
+    """Is seen where all are read again, and nothing is fitted for that."""
+    out, other = tmp_path / "out.npy", photographs()
+    interrupted(out=out)
+    other[25, 3, 1] += 0.5
+    with pytest.raises(TileError, match="tile 1: was done with other photographs than these"):
+        project_pixels(BASIS, LIGHTS, other, rows=20, out=out, verify="all")
+    source, said = Lazy(photographs()), []
+    fit = project_pixels(
+        BASIS, LIGHTS, source, rows=20, out=out, verify="all", on_tile=lambda number, of: said.append(number)
+    )
+    assert [start for start, _ in source.read[1:]] == list(range(0, PIXELS, 20))
+    assert said == [3, 4, 5]
+    same(fit, photographs())
+
+
+def test_photographs_in_another_order_of_memory_are_the_same(tmp_path):
+    out, values = tmp_path / "out.npy", photographs()
+    interrupted(out=out)
+    turned = values.transpose(1, 0, 2).copy().transpose(1, 0, 2)
+    same(project_pixels(BASIS, LIGHTS, turned, rows=20, out=out, verify="all"), values)
 
 
 def test_another_array(tmp_path):
@@ -39,7 +63,7 @@ def test_another_array(tmp_path):
     interrupted(out=out, checkpoint=tmp_path)
     for other in (empty(), np.full_like(out, np.nan)):
         with pytest.raises(
-            TileError, match=r"tile 2: was done and out does not hold its fit: .* remove the checkpoint"
+            TileError, match=r"tile 2: was done, and out does not hold its fit: remove the checkpoint to begin anew"
         ):
             project_pixels(BASIS, LIGHTS, photographs(), rows=20, out=other, checkpoint=tmp_path)
     same(project_pixels(BASIS, LIGHTS, photographs(), rows=20, out=out, checkpoint=tmp_path), photographs())

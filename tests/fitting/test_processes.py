@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hshjax.bases import HSH, IsotropicBasis
-from hshjax.fitting import SampleBlocks, project_blocks, project_pixels
+from hshjax.fitting import SampleBlocks, coordinator, project_blocks, project_pixels
 from tests.fitting.test_project_blocks import arrays
 from tests.helpers import X64, directions, slow_unless
 
@@ -31,9 +31,12 @@ def free_port():
         return one.getsockname()[1]
 
 
-def run(folder, of, devices=1, **of_process):
-    """All processes of a run to their end: `(exit code, output, errors)` of each. `of_process`: arguments `p0` ..."""
-    port, started = free_port(), []
+def run(folder, of, devices=1, port=None, **of_process):
+    """All processes of a run to their end: `(exit code, output, errors)` of each. `of_process`: arguments `p0` ...
+
+    `port`: of a coordination service that runs already.
+    """
+    beside, port, started = port is not None, port or free_port(), []
     cache = {
         "JAX_COMPILATION_CACHE_DIR": str(ROOT / ".pytest_cache" / "jax"),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
@@ -42,7 +45,7 @@ def run(folder, of, devices=1, **of_process):
     for p in range(of):
         arguments = ["--process", p, "--of", of, "--port", port, "--devices", devices, "--folder", folder]
         command = [sys.executable, "-m", "tests.fitting.process_of_blocks", *map(str, arguments)]
-        command += [str(word) for word in of_process.get(f"p{p}", ())]
+        command += [str(word) for word in of_process.get(f"p{p}", ())] + ["--beside"] * beside
         started.append(
             subprocess.Popen(
                 command, cwd=ROOT, env=os.environ | cache, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -131,6 +134,64 @@ def test_the_first_process_is_killed(folder):
     assert_all_fitted(folder, run(folder, 2))
 
 
+@pytest.fixture
+def beside():
+    """The port of a coordination service in a process of its own, for three."""
+    port = free_port()
+    script = f"""
+import sys
+from hshjax import coordinator
+with coordinator({port}, 3):
+    print("up", flush=True)
+    sys.stdin.read()
+"""
+    command = [sys.executable, "-c", script]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, cwd=ROOT, text=True, **pipes) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        yield port
+        process.communicate("", timeout=30)
+    assert process.returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("killed", [0, 1])
+def test_beside_a_coordinator_any_process_may_be_killed(killed, folder, beside):
+    """The others say so in time, and end as Python does."""
+    words = {f"p{p}": ("--timeout", TIMEOUT) for p in range(3)}
+    words[f"p{killed}"] += ("--kill-after", 2)
+    start = time.monotonic()
+    ended = run(folder, 3, port=beside, **words)
+    assert time.monotonic() - start < 60
+    assert ended[killed][0] == -signal.SIGKILL
+    for p in {0, 1, 2} - {killed}:
+        code, _, errors = ended[p]
+        assert code == 3, errors
+        assert f"ProcessError: process {killed} has not reported for 4 s; the blocks that are in are kept in" in errors
+    assert_all_fitted(folder, run(folder, 3))
+
+
+@pytest.mark.slow
+def test_processes_beside_a_coordinator_finish(folder, beside):
+    assert_all_fitted(folder, run(folder, 3, port=beside))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"), [((1234, 0), "at least one process, got 0"), ((0, 2), "from 1 to 65535, got 0")]
+)
+def test_a_coordinator_that_makes_no_sense(call, message):
+    with pytest.raises(ValueError, match=message), coordinator(*call):
+        pass
+
+
+def test_a_coordinator_at_a_port_that_is_taken():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match="in use"), coordinator(port, 2):
+            pass
+
+
 @pytest.mark.slow
 def test_another_number_of_processes_and_another_call_are_refused(folder):
     run(folder, 2, p0=("--timeout", TIMEOUT), p1=("--timeout", TIMEOUT, "--kill-after", 3))
@@ -151,7 +212,9 @@ def test_samples_that_every_process_has(folder):
 @pytest.mark.slow
 def test_pixels_of_a_killed_process(folder):
     lights = np.asarray(directions(0, 20, min_z=0.2))
-    values = np.random.default_rng(0).uniform(0, 1, (103, 20, 3))
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0, 1, (103, 20, 3))
+    values[rng.random((103, 20)) < 0.03] = np.nan  # some lights in some pixels
     np.save(folder / "lights.npy", lights)
     np.save(folder / "photographs.npy", values)
     pixels, out = ("--what", "pixels", "--timeout", TIMEOUT), folder / "coefficients.npy"

@@ -10,7 +10,7 @@ import pytest
 
 from hshjax.bases import HSH, HelmholtzBasis, IsotropicBasis
 from hshjax.brdfs import GGX, Lambert
-from hshjax.fitting import BlockError, SampleBlocks, project, project_blocks
+from hshjax.fitting import BlockError, SampleBlocks, project, project_all, project_blocks
 from hshjax.fitting._sample_blocks import regrouped
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, X64, assert_close, directions, slow_unless
@@ -172,6 +172,45 @@ def test_arrays_that_do_not_fit_together(changed, message):
         SampleBlocks(**parts)
 
 
+@pytest.mark.parametrize("dtype", [">f4", ">f8", np.longdouble, np.float16])
+def test_numbers_that_jax_has_not(dtype):
+    """And values of fewer digits than directions."""
+    parts = dict(zip(("wi", "wo", "value", "weight"), arrays(), strict=True))
+    got = project_blocks(BASIS, SampleBlocks(**parts | {"value": parts["value"].astype(dtype)}, rows=700))
+    native = parts["value"].astype(np.float16 if dtype == np.float16 else DTYPE)
+    expected = project_blocks(BASIS, SampleBlocks(**parts | {"value": native}, rows=700))
+    assert_close(got.model.coefficients, expected.model.coefficients, tolerance=1e-5)
+
+
+def test_memory_in_any_order(unchecked):
+    turned = [np.asfortranarray(np.repeat(part, 2, axis=0))[::2] for part in arrays()]
+    got = project_blocks(BASIS, SampleBlocks(*turned, rows=np.int64(700), isotropic=True))
+    expected = project_blocks(BASIS, SampleBlocks(*arrays(), rows=700, isotropic=True))
+    np.testing.assert_array_equal(got.model.coefficients, expected.model.coefficients)
+
+
+def test_values_that_nothing_can_be_made_of(unchecked):
+    value = arrays()[2]
+    for wrong, message in (
+        (value.astype(complex), "expected real numbers for value, got complex128"),
+        (value.astype(str), "expected real numbers for value, got <U"),
+        (np.ma.masked_array(value, value > 1), "value is a masked array: mask samples by the weight 0"),
+        (value[:, :0], "no sample to fit: values have no channel"),
+    ):
+        wi, wo, _, weight = arrays()
+        with pytest.raises(BlockError, match=f"block 0: {message}"):
+            project_blocks(BASIS, SampleBlocks(wi, wo, wrong, weight))
+
+
+def test_half_floats_throughout(unchecked):
+    halves = jax.tree.map(lambda a: a.astype(jnp.float16), cut(whole(), 5)[0])
+    message = "samples must be float32 or float64, got float16: convert them before the fit"
+    with pytest.raises(BlockError, match=f"block 0: {message}"):
+        project_blocks(BASIS, [halves], ridge=1.0)
+    with pytest.raises(ValueError, match=message):
+        project(BASIS, halves, ridge=1.0)
+
+
 def test_arguments_of_another_kind(unchecked):
     with pytest.raises(TypeError, match=r"wi must be an array, got str 'wi.npy'"):
         SampleBlocks("wi.npy", "wo.npy", "value.npy")
@@ -179,6 +218,12 @@ def test_arguments_of_another_kind(unchecked):
         project_blocks(BASIS, whole())
     with pytest.raises(TypeError, match=r"a basis of pairs of directions, .* got HSH\("):
         project_blocks(HSH(1), cut(whole(), 5))
+    for fitted, samples in ((project, whole()), (project_blocks, [whole()])):
+        with pytest.raises(TypeError, match=r"must be a mesh of jax, such as device_mesh\(4\), got 4"):
+            fitted(BASIS, samples, mesh=4)
+    for samples, kind in ((whole(), "Samples"), (iter([whole()]), "list_iterator"), ([1], "list")):
+        with pytest.raises(TypeError, match=f"a list of Samples, one for each material, got {kind}"):
+            project_all(BASIS, samples)
 
 
 class Counted(SampleBlocks):
@@ -313,8 +358,13 @@ def test_arrays_that_become_shorter(unchecked):
 
 
 @pytest.mark.parametrize(
-    ("changed", "message"), [({"every": -1.0}, "every must be >= 0"), ({"timeout": 0.0}, "timeout")]
+    ("changed", "message"),
+    [
+        ({"every": -1.0}, "every must be >= 0"),
+        ({"timeout": 0.0}, "timeout"),
+        ({"verify": "some"}, "verify must be one of last, all, got 'some'"),
+    ],
 )
-def test_settings_that_make_no_sense(changed, message, tmp_path):
+def test_settings_that_make_no_sense(changed, message, tmp_path, unchecked):
     with pytest.raises(ValueError, match=message):
         project_blocks(BASIS, blocks_of(), checkpoint=tmp_path, **changed)

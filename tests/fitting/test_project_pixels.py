@@ -8,7 +8,7 @@ import pytest
 
 from hshjax.bases import HSH, IsotropicBasis, SphericalHarmonics
 from hshjax.fitting import TileError, project_pixels
-from hshjax.fitting._tiles import Tile, finite_values
+from hshjax.fitting._tiles import Tile, known_values
 from tests.helpers import DTYPE, TOLERANCE, X64, assert_close, directions
 
 BASIS = HSH(2)
@@ -67,7 +67,7 @@ def test_relit_pixels_are_those_of_the_photographs():
     assert np.all(fit.relative < (1e-12 if X64 else 1e-5))
 
 
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float16, np.float32])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, ">u2", np.float16, np.float32, ">f4"])
 def test_values_of_cameras(dtype):
     values = (photographs() * (200 if np.dtype(dtype).kind == "u" else 1)).astype(dtype)
     fit = project_pixels(BASIS, LIGHTS, values)
@@ -83,6 +83,38 @@ def test_tiles_of_any_sizes_and_no_known_number():
     whole = project_pixels(BASIS, LIGHTS, values)
     for source in (tiles, iter(tiles)):
         assert_close(project_pixels(BASIS, LIGHTS, source).coefficients, whole.coefficients)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, DTYPE])
+def test_what_is_masked_is_missing(dtype):
+    values = (200 * photographs()).astype(dtype)
+    masked = np.zeros(values.shape, bool)
+    masked[::3, 4, 1] = True
+    fit = project_pixels(BASIS, LIGHTS, np.ma.masked_array(values, masked), rows=40)
+    missing = values.astype(DTYPE)
+    missing[masked] = np.nan
+    expected = project_pixels(BASIS, LIGHTS, missing)
+    assert_close(fit.coefficients / 200, expected.coefficients / 200, tolerance=TOLERANCE if X64 else 1e-3)
+    assert fit.partial == expected.partial == len(values[::3])
+
+
+@pytest.mark.parametrize("dtype", [np.longdouble, ">f8"])
+def test_numbers_that_jax_has_not(dtype):
+    values = photographs()
+    got = project_pixels(BASIS, LIGHTS, values.astype(dtype)).coefficients
+    assert_close(got, project_pixels(BASIS, LIGHTS, values).coefficients)
+
+
+def test_memory_in_any_order_and_counts_of_numpy(tmp_path, unchecked):
+    values = photographs()
+    expected = project_pixels(BASIS, LIGHTS, values).coefficients
+    for source in (np.asfortranarray(values), values.transpose(1, 0, 2).copy().transpose(1, 0, 2), values[::-1][::-1]):
+        out = np.zeros(expected.shape[::-1], DTYPE).T
+        project_pixels(BASIS, LIGHTS, source, rows=np.int64(40), out=out)
+        assert_close(out, expected)
+    tiles = iter([values[:50], values[50:]])
+    got = project_pixels(BASIS, LIGHTS, tiles, pixels=np.int64(PIXELS), out=tmp_path / "out.npy")
+    assert_close(got.coefficients, expected)
 
 
 class Lazy:
@@ -174,8 +206,8 @@ def bad(kind):
         second = second[:, :, :2]
     elif kind == "dtype":
         second = second.astype(np.float16)
-    elif kind == "nan":
-        second[3, 4, 1] = np.nan
+    elif kind == "infinite":
+        second[3, 4, 1] = np.inf
     elif kind == "words":
         second = second.astype(str)
     elif kind == "axes":
@@ -189,10 +221,7 @@ def bad(kind):
         ("lights", r"expected \(pixels, 20 lights, channels\), got \(53, 19, 3\)"),
         ("channels", "expected 3 channels of .* as of the first, got 2"),
         ("dtype", "expected 3 channels of .* as of the first, got 3 channels of float16"),
-        (
-            "nan",
-            "1 values are NaN or infinite in .*, the first of pixel 53 under light 4: give that light",
-        ),
+        ("infinite", "1 values are infinite in .*, the first of pixel 53 under light 4: make them NaN"),
         ("words", "expected real numbers, got <U"),
         ("axes", r"got \(20, 3\)"),
     ],
@@ -233,6 +262,10 @@ def test_a_source_of_another_length(tmp_path):
         ({"source": photographs()[0]}, r"must be \(pixels, 20 lights, channels\)"),
         ({"rows": 0}, "at least 1, got 0"),
         ({"pixels": 4}, "this one has 103, got 4"),
+        ({"pixels": 0, "source": iter([photographs()])}, "pixels must be at least 1, got 0"),
+        ({"ridge": np.inf}, "ridge must be finite and >= 0, got inf"),
+        ({"ridge": 1.0, "prior": np.full(9, np.inf)}, "prior must be finite and >= 0, got inf for mode 0"),
+        ({"ridge": 1.0, "prior": np.ones(4)}, r"one number for each of the 9 modes, got shape \(4,\)"),
         ({"out": np.zeros((3, 9, 3))}, r"out must be \(pixels, functions, channels\), \(103, 9, 3\) here, got \(3, 9"),
         ({"out": np.zeros((PIXELS, 9, 3), int)}, "out must hold floating values, got int64"),
         ({"out": "."}, "out must be the path of a file, and . is a folder"),
@@ -240,9 +273,10 @@ def test_a_source_of_another_length(tmp_path):
         ({"out": 250 * "x"}, "must leave room for .x*.unfinished, which has 262 bytes, 255 at most"),
         ({"checkpoint": "here"}, "a checkpoint is for an `out`"),
         ({"prior": "spectral"}, "ridge > 0"),
+        ({"verify": "some"}, "verify must be one of last, all, got 'some'"),
     ],
 )
-def test_calls_that_make_no_sense(changed, message):
+def test_calls_that_make_no_sense(changed, message, unchecked):
     call = {"basis": BASIS, "lights": LIGHTS, "source": photographs()} | changed
     with pytest.raises(ValueError, match=message):
         project_pixels(**call)
@@ -252,6 +286,10 @@ def test_calls_that_make_no_sense(changed, message):
     ("changed", "message"),
     [
         ({"source": "stack.npy"}, "got a path: np.load"),
+        ({"source": None}, "must be an array, or yield tiles of one, got NoneType"),
+        ({"out": [1, 2]}, "out must be an array, a path or None, got list"),
+        ({"rows": 2.5}, "'float' object cannot be interpreted as an integer"),
+        ({"mesh": 4}, r"must be a mesh of jax, such as device_mesh\(4\), got 4"),
         ({"basis": IsotropicBasis(HSH(1))}, r"functions of one direction, .* got IsotropicBasis\("),
     ],
 )
@@ -274,7 +312,9 @@ def test_lights_all_around():
 def test_values_that_the_dtype_of_the_fit_does_not_hold():
     values = np.ones((2, 3, 1))
     values[1, :2, 0] = 1e300, np.nan
-    message = "2 values are NaN or infinite in float32, the first of pixel 11 under light 0"
+    message = "1 values are infinite in float32, the first of pixel 11 under light 0"
     with pytest.raises(TileError, match=message):
-        finite_values(Tile(0, 10, values), np.dtype(np.float32), np.array([True, True, True]))
-    assert finite_values(Tile(0, 10, values), np.dtype(np.float32), np.array([False, False, True])).dtype == np.float32
+        known_values(Tile(0, 10, values), np.dtype(np.float32), np.array([True, True, True]))
+    found, known = known_values(Tile(0, 10, values), np.dtype(np.float32), np.array([False, True, True]))
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(known, [[True, True, True], [False, False, True]])
