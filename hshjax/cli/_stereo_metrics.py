@@ -79,6 +79,7 @@ class Solved(NamedTuple):
         found["stray light"] = f"{m['stray']:.2%} of the mean of a photograph"
         found["outliers"] = f"{m['outlier_share']:.1%} of all values, shadows: {m['shadow_share']:.1%}"
         found["time"] = f"{m['seconds']:.1f} s"
+        found["decisions"] = "\n".join(m["notes"]) or "none"
         return found
 
 
