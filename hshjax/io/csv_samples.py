@@ -222,7 +222,7 @@ def _comments(file: Lines) -> tuple[dict[str, tuple[int, str]], int]:
 def _rows(file: Lines, number: int) -> tuple[list[str], Rows]:
     """The names, which stand in a line, and the rows below it."""
     given = _names(file, number)
-    names = given[: max(k for k, name in enumerate(given, 1) if name)]
+    names = given[: max((k for k, name in enumerate(given, 1) if name), default=1)]
     _check_names(file, number, names)
     for late in range(number + 1, len(file.lines) + 1):
         if WITHIN.match(file.lines[late - 1]):

@@ -299,6 +299,8 @@ def test_files_without_samples(read, tmp_path):
         read(HEAD + ",R\n")
     with pytest.raises(FileFormatError, match="line 1: expected a line with the names of the columns, got the end of"):
         read("# only a comment\n")
+    with pytest.raises(FileFormatError, match="line 1, column 1: expected a name that no other column has, got ''"):
+        read(";;;;\n1;2;3;4;5\n")
     with pytest.raises(FileFormatError, match=r"line 2, column 4: expected a vector of length 1, got 0\.9"):
         read("wi_x,wi_y,wi_z,wo_x,wo_y,wo_z,v\n0,0,1,0,0,0.9,1\n")
     with pytest.raises(FileFormatError, match="expected directions above the horizon, got none among 1"):
