@@ -69,6 +69,20 @@ def test_a_model_is_described_and_fitted_again(model, tmp_path):
     assert (tmp_path / "out.png").stat().st_size > 0
 
 
+def test_a_series_that_rings_and_one_that_shines_by_itself_get_advice(tmp_path):
+    polished = CookTorrance(diffuse=0.05, specular=0.6, slope=0.08)
+    for name, material, advice in (
+        ("rings", polished, "--model compact follows it"),
+        ("shines", OrenNayar(1.0, 0.0) + OrenNayar(1.0, 0.0), "more light is reflected than received"),
+        ("good", OrenNayar(0.5, 0.3), None),
+    ):
+        save_model(tmp_path / f"{name}.hshjax", material)
+        fitted = run("fit", tmp_path / f"{name}.hshjax", "--order", 4, "--degree", 24, "--out", tmp_path / name)
+        assert fitted.exit_code == 0, fitted.output + fitted.stderr
+        figures = json.loads((tmp_path / name / "metrics.json").read_text())
+        assert (advice in figures["advice"]) if advice else ("advice" not in figures), name
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "what"), [("exp", ExpBRDF), slow_unless(False, "cook-torrance", CookTorrance)])
 def test_other_models_are_fitted_step_by_step(model, tmp_path, kind, what):

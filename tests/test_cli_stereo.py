@@ -15,6 +15,7 @@ from hshjax.brdfs import Lambert
 from hshjax.camera import OrthographicCamera
 from hshjax.cli import app
 from hshjax.io import load_model, read_exr, read_light_positions, read_normals
+from hshjax.io._images import write_png
 from hshjax.lighting import DirectionalLight
 from hshjax.stereo import Stage, Stereo, angular_errors
 from hshjax.surface import sphere
@@ -133,6 +134,24 @@ def test_the_report_needs_nothing_else(archive, tmp_path, quick):
     assert "<script" not in page
     for what in ("ball.npz", "Under new lights", "noise 0.0001", "true normals", "376 of them in the mask"):
         assert what.lower() in page.lower()
+
+
+def test_a_folder_with_what_others_leave_out(tmp_path, quick):
+    """Names without a list, true normals as text, no intensities: what was decided is printed."""
+    parts, folder = scene(), tmp_path / "ball"
+    folder.mkdir()
+    for k, image in enumerate(parts["images"]):
+        write_png(folder / f"{k:03d}.PNG", np.rint(255 / image.max() * image).astype(np.uint8))
+    write_png(folder / "Mask.png", (255 * parts["mask"]).astype(np.uint8))
+    np.savetxt(folder / "light_directions.txt", parts["lights"])
+    np.savetxt(folder / "normal.txt", parts["normals"].reshape(-1, 3))
+    done = run(folder, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output + done.stderr
+    metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
+    assert metrics["mean_angular_error_degrees"] < 0.1
+    for note in ("true normals of normal.txt", "No filenames.txt", "No light_intensities.txt"):
+        assert any(note in line for line in metrics["notes"])
+        assert note in " ".join(re.sub(r"[│|]", " ", done.output).split())
 
 
 @pytest.mark.parametrize("channels", [1, 2])

@@ -1,6 +1,6 @@
 """What there is to say of a material: of the file, of its angles, of the BRDF."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from hshjax.cli._console import Figures
 
@@ -80,7 +80,14 @@ def _series(figures: Figures, brdf: Any) -> None:
                 figures.add(f"{name}_scale", alpha, label, f"{alpha:.3g} ({type(warp).__name__})")
 
 
-def describe_energy(figures: Figures, brdf: Any) -> None:
+class Energy(NamedTuple):
+    """The largest hemispherical albedo of channels, and the share of the energy that negative values have."""
+
+    albedo: float
+    negative: float
+
+
+def describe_energy(figures: Figures, brdf: Any) -> Energy:
     """Albedos, the smallest value and the negative share: takes an evaluation of the BRDF in many directions."""
     import jax.numpy as jnp
     import numpy as np
@@ -112,6 +119,7 @@ def describe_energy(figures: Figures, brdf: Any) -> None:
     smallest, share = float(negative.minimum), float(negative.share)
     figures.add("smallest_value", smallest, words=f"{smallest:.3g} sr^-1")
     figures.add("negative_share", share, "negative share of the energy", f"{share:.2g}")
+    return Energy(float(jnp.max(white)), share)
 
 
 def describe_log_error(figures: Figures, error: Any) -> None:

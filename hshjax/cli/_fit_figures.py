@@ -12,6 +12,12 @@ from hshjax.cli._describe import (
     numbers,
 )
 
+RINGING = 0.05
+"""Share of the energy that is negative, from which a series misses what it is to show; some percent are noise."""
+
+REFLECTED = 1.05
+"""Albedo that no surface has; databases err by some percent."""
+
 
 def describe_data(figures: Figures, data: Any, found: Any) -> str | None:
     """The file and its angles; of samples which values of a fit are extrapolated."""
@@ -39,11 +45,24 @@ def describe_fit(figures: Figures, model: str, result: Any, errors: Any, beyond:
     for name, value in errors.errors.items():
         figures.add(f"relative_error_{name}", value, f"relative error, norm {name}", numbers(value))
     describe_log_error(figures, errors.log_error)
-    describe_energy(figures, result.model)
+    energy = describe_energy(figures, result.model)
+    advice = []
     if beyond is not None:
         figures.add("extrapolated", beyond)
         if model == "linear":
-            figures.add("advice", "a series rings between few incidences; --model inferred, or compact, does not")
+            advice.append("a series rings between few incidences; --model inferred, or compact, does not")
+    elif model == "linear" and energy.negative > RINGING:
+        advice.append(
+            f"the series rings, {energy.negative:.0%} of its energy is negative: the highlight is narrower than it can "
+            "follow; --model compact follows it and is positive"
+        )
+    if energy.albedo > REFLECTED:
+        advice.append(
+            f"more light is reflected than received (hemispherical albedo {energy.albedo:.3g}): values in another unit "
+            "than sr^-1, an outlier, or angles that were not measured"
+        )
+    if advice:
+        figures.add("advice", "; ".join(advice), words="\n".join(advice))
 
 
 def _details(figures: Figures, details: Any) -> None:

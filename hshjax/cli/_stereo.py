@@ -119,7 +119,8 @@ def stereo(
     solve = _solver(lights, options)
     photographs = read_photographs(path, encoding=encoding, saturated=saturated, near=near)
     if photographs.lights is None and lights != "unknown":
-        raise ValueError(f"{path}: nothing is known of the lights; give a light file (*.lp), or --lights unknown")
+        files = "a light file (*.lp) or light_directions.txt"
+        raise ValueError(f"{path}: nothing is known of the lights; give {files}, or --lights unknown")
     given = with_camera(_hidden(photographs, lights), image_height, field_of_view)
     begin = time.perf_counter()
     with _display() as progress:

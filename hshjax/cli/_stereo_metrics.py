@@ -70,6 +70,8 @@ class Solved(NamedTuple):
             found["error of light directions"] = f"mean {m['mean_light_direction_error_degrees']:.2f} degrees"
         if m["mean_light_intensity_error"] is not None:
             found["error of light intensities"] = f"mean {m['mean_light_intensity_error']:.2%}"
+        if any(stage.get("forced") for stage in m["stages"]):
+            found["lights"] = "hardly determined: errors of 20 degrees are usual (docs/unknown_lights.md)"
         if m["prediction_error"] is not None:
             found["prediction error"] = (
                 f"{m['prediction_error']:.2%} of the photographs' RMS, {m['masked_share']:.0%} of values masked"
@@ -79,6 +81,7 @@ class Solved(NamedTuple):
         found["stray light"] = f"{m['stray']:.2%} of the mean of a photograph"
         found["outliers"] = f"{m['outlier_share']:.1%} of all values, shadows: {m['shadow_share']:.1%}"
         found["time"] = f"{m['seconds']:.1f} s"
+        found["decisions"] = "\n".join(m["notes"]) or "none"
         return found
 
 

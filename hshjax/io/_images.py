@@ -36,22 +36,25 @@ def read_image(path: str | PathLike) -> np.ndarray:
     **Raises:** FileFormatError for other kinds, broken and truncated files, and transparent pixels; OSError where the
     file cannot be opened; ImportError without the extra `photographs`.
     """
-    path = Path(path)
+    pixels, alpha = _with_alpha(Path(path))
+    transparent = 0 if alpha is None else int(np.sum(alpha != np.iinfo(alpha.dtype).max))
+    if transparent:
+        raise FileFormatError(path, "alpha channel", "opaque pixels", f"{transparent} that are not")
+    return pixels
+
+
+def _with_alpha(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Pixels as stored, without the alpha channel of a PNG, and that `(rows, columns)`, should it have one."""
     with path.open("rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > LARGEST:
             raise FileFormatError(path, "file", f"an image of at most {LARGEST} bytes", f"{size}")
         content = file.read()
     if content.startswith(exr.MAGIC):
-        return exr.read_exr(path)
+        return exr.read_exr(path), None
     pixels = _decoded(path, content)
     pixels = pixels[..., None] if pixels.ndim == 2 else pixels
-    if pixels.shape[-1] in (2, 4):
-        transparent = int(np.sum(pixels[..., -1] != np.iinfo(pixels.dtype).max))
-        if transparent:
-            raise FileFormatError(path, "alpha channel", "opaque pixels", f"{transparent} that are not")
-        pixels = pixels[..., :-1]
-    return pixels
+    return (pixels[..., :-1], pixels[..., -1]) if pixels.shape[-1] in (2, 4) else (pixels, None)
 
 
 def orientation(path: str | PathLike) -> int:
@@ -77,13 +80,16 @@ def orientation(path: str | PathLike) -> int:
 
 def read_mask(path: str | PathLike) -> np.ndarray:
     """Which pixels of an image count, bool `(rows, columns)`: where the mean of channels is above half its largest.
+    What is transparent counts as black.
 
     **Raises:** as `read_image`; FileFormatError for OpenEXR and for a mask that leaves nothing.
     """
-    pixels = read_image(path)
+    pixels, alpha = _with_alpha(Path(path))
     if pixels.dtype.kind != "u":
         raise FileFormatError(path, "pixels", "8 or 16 bits", str(pixels.dtype))
     grey = pixels.mean(axis=-1)
+    if alpha is not None:
+        grey = grey * (alpha / np.iinfo(alpha.dtype).max)
     mask = grey > grey.max() / 2  # files of 0 and 1 are about, beside those of 0 and 255
     if not mask.any():
         raise FileFormatError(path, "mask", "pixels that see the object, above 0", "none")

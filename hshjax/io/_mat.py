@@ -36,18 +36,19 @@ def read_mat_floats(path: str | PathLike, name: str) -> np.ndarray:
             raise FileFormatError(path, "header", "a MATLAB file of version 5 to 7", got)
 
     content = whole_file(path, begins, 128)
-    order = ORDERS[content[126:128]]
+    order, others = ORDERS[content[126:128]], []
     try:
         for kind, body in _elements(content[128:], order):
             if kind == COMPRESSED:
                 kind, body = next(_elements(_decompressed(path, body), order))
             if kind == MATRIX:
-                array = _floats(body, order, name)
+                array = _floats(body, order, name, others)
                 if array is not None:
                     return array
     except (ValueError, StopIteration, struct.error, zlib.error) as error:
         raise FileFormatError(path, "data", "elements whose types and sizes fit", f"others: {error}") from error
-    raise FileFormatError(path, f"field {name!r}", "this field", "none of this name")
+    got = ", ".join(map(repr, others[:3])) if others else "none at all"
+    raise FileFormatError(path, f"field {name!r}", "this field", got)
 
 
 def _decompressed(path: str | PathLike, body: bytes) -> bytes:
@@ -77,11 +78,12 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         start = end if kind == COMPRESSED else end + -end % 8
 
 
-def _floats(body: bytes, order: str, name: str) -> np.ndarray | None:
-    """The array in a matrix element; None if its name is another."""
+def _floats(body: bytes, order: str, name: str, others: list[str]) -> np.ndarray | None:
+    """The array in a matrix element; None if its name is another, which goes to `others`."""
     parts = _elements(body, order)
     (_, flags), (kind, sizes), (_, called) = next(parts), next(parts), next(parts)
     if called != name.encode():
+        others.append(called.decode("latin-1"))
         return None
     (flag,) = struct.unpack_from(order + "I", flags)
     dtype = FLOATS.get(flag & 0xFF)

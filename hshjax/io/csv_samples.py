@@ -12,6 +12,10 @@ axis. `weight`, where it is there, is the weight of the sample. Every other colu
 
 Lines `# key: value` before the names may say more: material, isotropic (true or false), units (sr^-1) and
 cosine_included (true or false). Others are comments.
+
+Spreadsheets are met halfway: cells may have semicolons or tabs between them, and then decimal commas; `sep=;` may stand
+first; numbers may be quoted; rows and last columns may be empty. A row with a value that is empty, nan or NA was not
+measured: it is left out and counted.
 """
 
 import csv
@@ -22,7 +26,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from hshjax.io._columns import ANGLE, angle_columns, from_angles, misspelt, refuse_misspelt
+from hshjax.io._columns import ANGLE, Angles, angle_columns, from_angles, misspelt, refuse_misspelt
+from hshjax.io._csv_rows import Rows, read_rows, separator
 from hshjax.io._directions import one_azimuth
 from hshjax.io._replace import replacing
 from hshjax.io._text import Lines, head_lines, read_lines, shown
@@ -37,20 +42,25 @@ KEYS = ("material", "isotropic", "units", "cosine_included")
 STRICT = ("isotropic", "units", "cosine_included")
 """Of these, the ones that say what the values mean."""
 
+UNMEASURED = "a value that was not measured"
 UNITS = ("sr^-1", "1/sr", "sr-1")
 KEY = re.compile(r"#\s*(\w+)\s*:\s*(.*)")
 WITHIN = re.compile(rf"#\s*(?:{'|'.join(STRICT)})\s*:", re.IGNORECASE)
+SEPARATOR = re.compile(r'"?sep=[,;\t]"?')
+"""The first line of a file that a spreadsheet is to split so: the names tell it, too."""
 
 Directions = Literal["vectors", "deg", "rad"]
 
 
 def sniff(head: bytes) -> bool:
-    """Whether these first bytes of a file name columns of directions, with commas between them."""
+    """Whether these first bytes of a file name columns of directions."""
     for line in head_lines(head):
-        if line.strip() and not line.startswith("#"):
-            names = [name.strip().strip('"').lower() for name in line.split(",")]
-            return all(any(name.startswith(start) for name in names) for start in ("theta_i", "theta_o")) or all(
-                name in names for name in (VECTORS["i"][0], VECTORS["o"][0])
+        if line.strip() and not line.startswith("#") and not SEPARATOR.fullmatch(line):
+            names = [name.strip().strip('"').lower() for name in line.split(separator(line))]
+            angles = {name[:7] for name in names}
+            return len(names) > 1 and (
+                ("theta_i" in angles and not angles.isdisjoint(("theta_o", "theta_r", "theta_s")))
+                or all(name in names for name in (VECTORS["i"][0], VECTORS["o"][0]))
             )
     return False
 
@@ -73,11 +83,8 @@ def measured_csv_samples(path: str | os.PathLike, *, negatives: Negatives = "kee
     """
     file = read_lines(path)
     said, number = _comments(file)
-    names = _names(file, number)
-    numbers = file.filled(number + 1)
-    table = file.table(numbers, len(names), ",")
-    if not len(table):
-        raise file.error(len(file.lines), "samples after the names of the columns", "none")
+    names, rows = _rows(file, number)
+    numbers, table = rows.numbers, rows.table
     wi, wo, used = _directions(file, number, numbers, names, table)
     weight = None
     if WEIGHT in names:
@@ -96,6 +103,8 @@ def measured_csv_samples(path: str | os.PathLike, *, negatives: Negatives = "kee
     isotropic = _truth(file, said, "isotropic", one_azimuth(wi))
     if isotropic and "isotropic" not in said:
         notes.append("Light comes from one azimuth: taken for an isotropic material.")
+    if _seem_radians(angle_columns(file, number, names), table):
+        notes.append("No angle to the normal is above 1.58 degrees: are these radians?")
     masked = {} if weight is None or weight.all() else {"a weight of 0": int(np.sum(weight == 0))}
     found = Findings(
         "samples in CSV",
@@ -103,6 +112,7 @@ def measured_csv_samples(path: str | os.PathLike, *, negatives: Negatives = "kee
         tuple(names[k] for k in values),
         _units(file, said),
         0,
+        dropped={UNMEASURED: rows.unmeasured} if rows.unmeasured else {},
         masked=masked,
         notes=tuple(notes),
     )
@@ -189,6 +199,8 @@ def _comments(file: Lines) -> tuple[dict[str, tuple[int, str]], int]:
     """What the lines before the names say, by key with the line's number; and the number of the line with the names."""
     said: dict[str, tuple[int, str]] = {}
     for number, line in enumerate(file.lines, 1):
+        if SEPARATOR.fullmatch(line):
+            continue
         if line.strip() and not line.startswith("#"):
             return said, number
         if match := KEY.fullmatch(line):
@@ -207,19 +219,39 @@ def _comments(file: Lines) -> tuple[dict[str, tuple[int, str]], int]:
     raise file.error(len(file.lines), "a line with the names of the columns", "the end of the file")
 
 
+def _rows(file: Lines, number: int) -> tuple[list[str], Rows]:
+    """The names, which stand in a line, and the rows below it."""
+    given = _names(file, number)
+    names = given[: max((k for k, name in enumerate(given, 1) if name), default=1)]
+    _check_names(file, number, names)
+    for late in range(number + 1, len(file.lines) + 1):
+        if WITHIN.match(file.lines[late - 1]):
+            raise file.error(late, "what values mean before the names of the columns", shown(file.lines[late - 1]))
+    directions = {column for column, _ in angle_columns(file, number, names).values()}
+    values = [k for k, name in enumerate(names) if k not in directions and name not in KNOWN]
+    between = separator(file.lines[number - 1])
+    rows = read_rows(file, number + 1, len(names), len(given) - len(names), values, between)
+    if not len(rows.table):
+        got = f"{rows.unmeasured} of which nothing was measured" if rows.unmeasured else "none"
+        raise file.error(len(file.lines), "samples after the names of the columns", got)
+    return names, rows
+
+
 def _names(file: Lines, number: int) -> list[str]:
     line = file.lines[number - 1]
     try:
-        names = [name.strip() for name in next(csv.reader([line], strict=True))]
+        names = [name.strip() for name in next(csv.reader([line], delimiter=separator(line), strict=True))]
     except csv.Error as error:
         raise file.error(number, "names of columns", str(error)) from error
     if len(names) < 2:
-        kind = "semicolons" if ";" in line else "tabs" if "\t" in line else shown(line)
-        raise file.error(number, "names of columns with commas between them", kind)
+        raise file.error(number, "names of columns with commas, semicolons or tabs between them", shown(line))
+    return names
+
+
+def _check_names(file: Lines, number: int, names: Sequence[str]) -> None:
     for column, name in enumerate(names, 1):
         if not name or name in names[: column - 1]:
             raise file.error(number, "a name that no other column has", shown(name), column)
-    return names
 
 
 def _directions(
@@ -239,12 +271,20 @@ def _directions(
         return wi, wo, {*columns[0], *columns[1]}
     for name in ANGLES:
         if name not in angles:
-            raise file.error(number, f"a column {name}", shown(file.lines[number - 1]))
+            hint = " (0 throughout where all light comes from one azimuth)" if name == "phi_i" else ""
+            raise file.error(number, f"a column {name}{hint}", shown(file.lines[number - 1]))
         column, unit = angles[name]
         if unit is None:
             raise file.error(number, f"the unit of the angle: '{name} [deg]' or '{name} [rad]'", shown(names[column]))
     wi, wo = (from_angles(file, numbers, table, angles, side, "rad") for side in "io")
     return wi, wo, {column for column, _ in angles.values()}
+
+
+def _seem_radians(angles: Angles, table: np.ndarray) -> bool:
+    """Whether polar angles that are given in degrees would all be radians of a hemisphere, and are no round numbers."""
+    columns = [column for name, (column, unit) in angles.items() if name.startswith("theta") and unit == "deg"]
+    polar = np.abs(table[:, columns])
+    return polar.size > 0 and bool(np.all(polar <= 1.58) and np.any(polar % 0.25 != 0))
 
 
 def _unit(file: Lines, numbers: list[int], w: np.ndarray, column: int) -> np.ndarray:

@@ -4,7 +4,7 @@ from os import PathLike
 from pathlib import Path
 
 from hshjax.io._photographs import Encoding, Saturated
-from hshjax.io.diligent import read_diligent
+from hshjax.io.diligent import is_diligent, read_diligent
 from hshjax.io.errors import FileFormatError
 from hshjax.io.exr import MAGIC as EXR
 from hshjax.io.light_positions import is_light_file, read_photograph_folder
@@ -26,7 +26,7 @@ def read_photographs(
 
     | `path` | reader |
     |---|---|
-    | a folder with `filenames.txt` and `light_directions.txt` | `read_diligent` |
+    | a folder with `light_directions.txt`, or another file of DiLiGenT and no light file | `read_diligent` |
     | another folder, or a light file `*.lp` | `read_photograph_folder` |
     | an archive of arrays (.npz) | `read_photographs_npz` |
     | an OpenEXR image, with a light file of the same name | `read_photograph_layers` |
@@ -38,9 +38,9 @@ def read_photographs(
     """
     path = Path(path)
     if path.is_dir():
-        if (path / "filenames.txt").exists() and (path / "light_directions.txt").exists():
-            _refuse(path, "the DiLiGenT layout", encoding, near, near_known=True)
-            return read_diligent(path, saturated=saturated)
+        if is_diligent(path):
+            _refuse(path, "the DiLiGenT layout", "linear", near, near_known=True)
+            return read_diligent(path, saturated=saturated, encoding=encoding)
         return read_photograph_folder(path, encoding=encoding, saturated=saturated, near=near)
     if is_light_file(path):
         return read_photograph_folder(path, encoding=encoding, saturated=saturated, near=near)

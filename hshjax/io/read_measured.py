@@ -9,7 +9,9 @@ from typing import NamedTuple
 from hshjax.brdfs import AngleTable, HalfVectorTable
 from hshjax.brdfs._known import table_samples
 from hshjax.io import alta, astm, csv_samples, fred, merl, rgl, utia, zemax
+from hshjax.io._csv_rows import separator
 from hshjax.io._sampling import sampling_rule
+from hshjax.io._text import MARKS, head_lines
 from hshjax.io.errors import FileFormatError
 from hshjax.io.measured import Findings, Measured, Negatives
 from hshjax.quadrature import PairRule
@@ -57,7 +59,21 @@ def measured_format(path: str | PathLike) -> str:
             return name
     known = "; ".join(one.words for one in FORMATS.values())
     got = f"a file that begins with {head[:16]!r}" if head else "an empty file"
-    raise FileFormatError(path, "first bytes", f"a measured material ({known})", got)
+    raise FileFormatError(path, "first bytes", f"a measured material ({known})", got + _hint(head))
+
+
+def _hint(head: bytes) -> str:
+    """What to do with a file that holds measurements in no format that is known, as far as its first bytes tell."""
+    for mark, name in MARKS.items():
+        if head.startswith(mark):
+            return f", text in {name} (save it again in UTF-8)"
+    if head.startswith(b"PK\x03\x04"):
+        return ", an archive or a workbook (save the sheet with the samples as CSV)"
+    lines = [line for line in head_lines(head)[:-1] if line.strip() and not line.startswith("#")]
+    if head.isascii() and any(len(line.split(separator(line))) > 2 for line in lines):
+        columns = ", ".join(f"{name} [deg]" for name in csv_samples.ANGLES)
+        return f" (a table of samples begins with names of columns: {columns}, then channels; comments begin with #)"
+    return ""
 
 
 def read_measured(path: str | PathLike, *, format: str | None = None, negatives: Negatives = "keep") -> Measured:

@@ -18,8 +18,18 @@ PLAIN = 3
 """Rounds before outliers are looked for."""
 
 
-def factored(pixels: Pixels) -> Float[np.ndarray, "lights 3"]:
-    """Unit directions of lights of equal intensity, up to an orthogonal matrix.
+TOLD = 2e-3
+"""Least singular value, relative to the largest, of the equations for lengths; 0.04 to 0.1 for lights within 45 degrees
+of the view."""
+
+LEAST = 0.2
+"""Eigenvalue, relative to the largest, that takes the place of those that no matrix has. Factors begin with second
+moments of normals that are equal, and those of an object that is seen whole are 1 : 1 : 2."""
+
+
+def factored(pixels: Pixels) -> tuple[Float[np.ndarray, "lights 3"], bool]:
+    """Unit directions of lights of equal intensity, up to an orthogonal matrix; and whether there is no such matrix
+    that fits best, so that one was taken that is near to it.
 
     **Raises:** ValueError where no matrix makes lights of one length, as where they lie in a plane or on a cone about
     one axis.
@@ -33,8 +43,9 @@ def factored(pixels: Pixels) -> Float[np.ndarray, "lights 3"]:
         if turn >= PLAIN:
             residual = jnp.asarray(values - albedo_normals @ lights.T)
             trust = plain * np.asarray(biweight(residual, residual_scale(residual, jnp.asarray(plain > 0))))
-    straight = lights @ unit_lengths(lights)
-    return straight / np.linalg.norm(straight, axis=1, keepdims=True)
+    matrix, forced = unit_lengths(lights)
+    straight = lights @ matrix
+    return straight / np.linalg.norm(straight, axis=1, keepdims=True), forced
 
 
 def _factor(values, trust, other) -> Float[np.ndarray, "n 3"]:
@@ -44,23 +55,30 @@ def _factor(values, trust, other) -> Float[np.ndarray, "n 3"]:
     return np.linalg.solve(gram + ridge, ((trust * values) @ other)[..., None])[..., 0]
 
 
-def unit_lengths(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "3 3"]:
+def unit_lengths(vectors: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "3 3"], bool]:
     """The symmetric positive matrix A that brings |A v| nearest to 1, by least absolute deviations of its square.
 
-    **Raises:** ValueError where there is none.
+    Intensities that are wrong (metals, whose maxima are highlights) may make a square best that is no square. Then the
+    eigenvalues below `LEAST` are raised to it, and the second value is True.
+
+    **Raises:** ValueError for vectors that do not determine it, or point to no matrix at all.
     """
     first, second = np.triu_indices(3)
     columns = vectors[:, first] * vectors[:, second] * np.where(first == second, 1, 2)
+    told = np.linalg.svd(columns, compute_uv=False)
+    if len(told) < 6 or told[-1] < TOLD * told[0]:
+        raise ValueError("the directions of the lights are not determined: they must not lie on a cone or plane")
     weight = np.ones(len(vectors))
     found = np.zeros(6)
     for _ in range(50):
-        found, _, rank, _ = np.linalg.lstsq(weight[:, None] * columns, weight, rcond=None)
-        if rank < 6:
-            raise ValueError("the directions of the lights are not determined: they must not lie on a cone or plane")
+        found = np.linalg.lstsq(weight[:, None] * columns, weight, rcond=None)[0]
         weight = 1 / np.sqrt(np.maximum(np.abs(columns @ found - 1), 1e-3))
     square = np.zeros((3, 3))
     square[first, second] = square[second, first] = found
     values, axes = np.linalg.eigh(square)
-    if values[0] <= 1e-4 * values[-1]:
+    if values[-1] <= 0:
         raise ValueError("no surface of Lambert's law explains the photographs with lights of these intensities")
-    return (axes * np.sqrt(values)) @ axes.T
+    forced = bool(values[0] <= 1e-4 * values[-1])
+    if forced:
+        values = np.maximum(values, LEAST * values[-1])
+    return (axes * np.sqrt(values)) @ axes.T, forced

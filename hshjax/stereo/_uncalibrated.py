@@ -52,6 +52,8 @@ def solve_uncalibrated(
     - `equal`: whether intensities begin as equal, not as what lights make of the pixels that face them: better where
       they are near to equal, or lights few and on one side.
     - `lights` of the result: see `solve_semi_calibrated` for the scale of their irradiance.
+    - `history`: `forced` is 1 where no surface at all makes lights of the intensities at the start, as on bare metals:
+      then directions are not to be relied on, and errors of 20 degrees are usual.
 
     Lambert's law knows lights up to eight numbers only, and intensities and highlights tell of these but little: take
     what is found for right within some degrees. The object must be seen whole, or most of its contour: where the mask
@@ -79,7 +81,8 @@ def solve_uncalibrated(
         )  # raises for black photographs, if equal too
         photographs = under(photographs, upwards, np.ones_like(begun) if equal else begun)
         observations = Observations(photographs, directed=False)
-        directions = factored(observations.pixels(some))
+        directions, forced = factored(observations.pixels(some))
+        done.figures["forced"] = float(forced)
         scaled = band_normals(observations, jnp.asarray(directions, jnp.float32)).astype(float)
         length = np.linalg.norm(scaled, axis=1, keepdims=True)
         normals = np.where(length > 0, scaled, [[0, 0, 1]]) / np.where(length > 0, length, 1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from hshjax.io import FileFormatError, measured_csv_samples, read_csv_samples, write_csv_samples
+from hshjax.io import FileFormatError, measured_csv_samples, read_csv_samples, read_measured, write_csv_samples
 from hshjax.quadrature import pair_rule
 from hshjax.samples import Samples
 from tests.helpers import DTYPE, X64, assert_close, directions
@@ -172,15 +172,10 @@ WRONG = {
     "no directions": (HEAD, "a,b,c,d", "line 5: expected columns theta_i, .*, or wi_x, .*, got no column wi_x"),
     "both directions": ("R,G", "R,wi_x", "line 5: expected directions as angles or as vectors, got both"),
     "misspelt": ("weight", "weights", "line 5, column 7: expected 'weight', or a name that does not look like it"),
-    "semicolons": (
+    "blanks": (
         f"{HEAD},R,G,weight",
-        "theta_i;phi_i",
-        "line 5: expected names of columns with commas .*, got semicol",
-    ),
-    "tabs": (
-        f"{HEAD},R,G,weight",
-        "theta_i\tphi_i",
-        "line 5: expected names of columns with commas between them, got tabs",
+        "theta_i_deg phi_i_deg",
+        "line 5: expected names of columns with commas, semicolons or tabs between them, got 'theta_i_deg phi",
     ),
     "an open quote": ("R,G", '"R,G', "line 5: expected names of columns, got"),
     "decimal commas": (
@@ -189,8 +184,16 @@ WRONG = {
         r"line 8: expected 7 numbers \(if commas stand for decimal points, replace them\)",
     ),
     "too few": (",2\n", "\n", "line 8: expected 7 numbers, got 6"),
-    "a quoted number": ("0.125", '"0.125"', "line 6, column 5: expected a number, got '\"0.125\"'"),
-    "a comment among samples": ("60.25", "# 60.25", "line 8, column 1: expected a number, got '# 60.25'"),
+    "a quoted thousand": ("0.125", '"1,125"', "line 6: expected 7 numbers"),
+    "an angle that was not measured": ("45.5,180", ",180", "line 6, column 3: expected a number, got ''"),
+    "a weight that is not there": (",0.5\n", ",\n", "line 7, column 7: expected a number, got ''"),
+    "infinite": ("0.125", "inf", r"line 6, column 5: expected a finite number \(of float32\), got 'inf'"),
+    "a key among samples": (
+        "60.25",
+        "# cosine_included: false\n60.25",
+        "line 8: expected what values mean before the names of the columns",
+    ),
+    "a comment after a number": ("60.25", "60.25 # x", "line 8, column 1: expected a number, got '60.25 # x'"),
     "a wide angle": ("60.25", "190", "line 8, column 1: expected a polar angle of at most 180 degrees, got 190"),
     "degrees as radians": (
         "theta_o [deg]",
@@ -240,11 +243,64 @@ def test_malformed_files(case, read):
         read(TEXT.replace(old, new, 1))
 
 
+SPREADSHEETS = {
+    "semicolons": lambda text: text.replace(",", ";"),
+    "tabs": lambda text: text.replace(",", "\t"),
+    "semicolons and decimal commas": lambda text: text.replace(",", ";").replace(".", ","),
+    "tabs and decimal commas": lambda text: text.replace(",", "\t").replace(".", ","),
+    "all that Excel does": lambda text: (
+        "\ufeffsep=;\n" + text.replace(",", ";").replace(".", ",").replace("\n", ";;\n")
+    ),
+    "quotes": lambda text: "\n".join(",".join(f'"{cell}"' for cell in row.split(",")) for row in text.split()) + "\n",
+    "empty rows and columns": lambda text: text.replace("\n", ",,\n") + ",,,,,,,,\n\n",
+    "comments": lambda text: text.replace("\n40", "\n# another run\n40"),
+    "rows that were not measured": lambda text: text + "50,0,10,0,nan,1\n50,0,20,0,,\n50,0,30,0,#N/A,2\n",
+}
+
+
+@pytest.mark.parametrize("case", SPREADSHEETS)
+def test_what_spreadsheets_write(case, read):
+    plain = "theta_i_deg,phi_i_deg,theta_o_deg,phi_o_deg,R,G\n30,0,45.5,180,0.125,1.5e-3\n40,90,45.5,-170,12,-0.25\n"
+    expected, got = read(plain).data, read(SPREADSHEETS[case](plain))
+    for name in ("wi", "wo", "value", "weight"):
+        np.testing.assert_array_equal(getattr(got.data, name), getattr(expected, name))
+    lost = 3 if "measured" in case else 0
+    assert got.found.dropped == ({"a value that was not measured": 3} if lost else {})
+    assert got.found.entries == 2 + lost
+    assert got.found.channel_names == ("R", "G")
+
+
+def test_points_and_commas_in_one_file_are_refused(read):
+    """One of them may stand between thousands."""
+    with pytest.raises(FileFormatError, match="line 3: expected decimal points or commas as in line 2, not both"):
+        read(HEAD.replace(",", ";") + ";R\n10;0;20;0;1,234\n10;0;30;0;0.5\n")
+
+
+def test_radians_that_are_called_degrees_are_asked_about(read):
+    rows = "0.5236,0,0.7854,3.1416,1\n1.0472,0,0.2618,3.1416,2\n"
+    assert any("are these radians?" in note for note in read(HEAD + ",R\n" + rows).found.notes)
+    small = "0.5,0,1,180,1\n1,0,0.25,180,2\n"  # about the normal, in degrees
+    assert not any("radians" in note for note in read(HEAD + ",R\n" + small).found.notes)
+
+
+def test_tables_that_are_none_are_told_what_one_is(tmp_path):
+    for content, message in (
+        (b"My sample\nangle,view,BRDF\n1,2,3\n", "a table of samples begins with names of columns: theta_i"),
+        ("theta_i,theta_o\n".encode("utf-16"), "text in UTF-16"),
+        (b"PK\x03\x04" + bytes(100), "an archive or a workbook .save the sheet"),
+    ):
+        (tmp_path / "a.csv").write_bytes(content)
+        with pytest.raises(FileFormatError, match=message):
+            read_measured(tmp_path / "a.csv")
+
+
 def test_files_without_samples(read, tmp_path):
     with pytest.raises(FileFormatError, match="line 1: expected samples after the names of the columns, got none"):
         read(HEAD + ",R\n")
     with pytest.raises(FileFormatError, match="line 1: expected a line with the names of the columns, got the end of"):
         read("# only a comment\n")
+    with pytest.raises(FileFormatError, match="line 1, column 1: expected a name that no other column has, got ''"):
+        read(";;;;\n1;2;3;4;5\n")
     with pytest.raises(FileFormatError, match=r"line 2, column 4: expected a vector of length 1, got 0\.9"):
         read("wi_x,wi_y,wi_z,wo_x,wo_y,wo_z,v\n0,0,1,0,0,0.9,1\n")
     with pytest.raises(FileFormatError, match="expected directions above the horizon, got none among 1"):

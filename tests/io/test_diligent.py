@@ -51,7 +51,7 @@ def test_what_was_written_is_read(tmp_path):
     assert_close(photographs.lights.direction, unit(directions))
     assert_close(photographs.lights.irradiance, np.loadtxt(tmp_path / "a/light_intensities.txt"))
     assert photographs.camera is None
-    assert photographs.notes[0] == "DiLiGenT layout, with true normals."
+    assert photographs.notes[0] == "DiLiGenT layout, with true normals of Normal_gt.mat."
     assert read_photographs(tmp_path / "a").notes == photographs.notes
 
 
@@ -114,33 +114,36 @@ FOUR = "009.png\n008.png\n007.png\n006.png"
 MALFORMED = {
     "a direction too few": (
         text("light_directions.txt", "0 0 1\n" * 3),
-        r"light_directions.txt: lines: expected three finite numbers for each of the 4 images .*, got 3 lines of 3",
+        "light_directions.txt: lines: expected 4, one for each image of filenames.txt, got 3",
     ),
     "an intensity too many": (
         text("light_intensities.txt", "1 1 1\n" * 5),
-        "light_intensities.txt: lines: .*4 images.*got 5 lines of 3",
+        "light_intensities.txt: lines: expected 4, .* got 5",
     ),
-    "grey intensities": (text("light_intensities.txt", "1\n" * 4), "got 4 lines of 1"),
-    "no directions": (text("light_directions.txt", ""), "light_directions.txt: lines: .* got 0 lines"),
+    "two intensities": (
+        text("light_intensities.txt", "1 2\n" * 4),
+        "light_intensities.txt: lines: expected one number or three numbers each, got 4 lines of 2",
+    ),
+    "decimal commas": (text("light_directions.txt", "0,5 0,1 0,8\n" * 4), "expected three numbers .* 4 lines of 6"),
+    "no directions": (text("light_directions.txt", ""), "light_directions.txt: lines: expected 4, .* got 0"),
     "words": (text("light_directions.txt", "0 0 up\n" * 4), "light_directions.txt: lines: expected three numbers each"),
     "ragged": (
         text("light_directions.txt", "0 0 1\n0 1\n0 0 1\n0 0 1"),
         "light_directions.txt: lines: expected three numbers",
     ),
-    "nan": (text("light_directions.txt", "0 0 nan\n" * 4), "light_directions.txt: .* got others"),
+    "nan": (text("light_directions.txt", "0 0 nan\n" * 4), "light 1: expected finite numbers, got .*nan"),
     "a zero direction": (
         text("light_directions.txt", "0 0 1\n0 0 0\n0 0 1\n0 0 1"),
         "light 2: expected a finite vector that is not zero",
     ),
-    "a dark light": (text("light_intensities.txt", "1 1 1\n" * 3 + "1 0 1"), "expected numbers above 0, got 0.0"),
+    "a dark light": (
+        text("light_intensities.txt", "1 1 1\n" * 3 + "1 0 1"),
+        "light 4: expected numbers above 0, got 0",
+    ),
     "no names": (text("filenames.txt", "\n"), "filenames.txt: lines: expected the name of an image each, got none"),
     "a missing image": (
         text("filenames.txt", FOUR.replace("007", "001")),
         "filenames.txt: line 3: expected the name of an image in the same folder, got '001.png'",
-    ),
-    "an image elsewhere": (
-        text("filenames.txt", FOUR.replace("007", "../a/007")),
-        "line 3: expected the name of an image in the same folder",
     ),
     "an image twice": (
         text("filenames.txt", FOUR.replace("007", "008")),
@@ -148,9 +151,9 @@ MALFORMED = {
     ),
     "an image of 8 bits": (
         image("008.png", BLACK.astype(np.uint8)),
-        "008.png: pixels: expected 3 channels of 16 bits, got 3 channels of uint8",
+        r"008.png: image: expected .* of uint16, as .*009.png, got \(6, 5, 3\) of uint8",
     ),
-    "a grey image": (image("008.png", BLACK[..., 0]), "expected 3 channels of 16 bits, got 1 channels of uint16"),
+    "a grey image": (image("008.png", BLACK[..., 0]), r"expected .* = \(6, 5, 3\) of uint16, .* got \(6, 5, 1\)"),
     "another size": (
         image("008.png", BLACK[1:]),
         r"008.png: image: expected \(rows, columns, channels\) = \(6, 5, 3\) of uint16, as .*009.png, got \(5, 5, 3\)",
@@ -205,13 +208,83 @@ def test_black_images(tmp_path):
         read_diligent(tmp_path / "a")
 
 
-def test_what_the_layout_lacks_stays_an_os_error(tmp_path):
+def test_true_normals_stand_in_a_text_too(tmp_path):
+    """A line a pixel, row by row: of the image, or of the mask."""
+    _, mask, normals = folder(tmp_path / "a")
+    (tmp_path / "a/Normal_gt.mat").unlink()
+    for lines in (normals.reshape(-1, 3), normals[mask]):
+        np.savetxt(tmp_path / "a/normal.txt", lines)
+        photographs = read_photographs(tmp_path / "a")
+        assert_close(photographs.truth, normals[mask])
+        assert photographs.notes[0] == "DiLiGenT layout, with true normals of normal.txt."
+    np.savetxt(tmp_path / "a/normal.txt", normals[mask][1:])
+    expected = f"normal.txt: lines: expected 30, one for each pixel of 6 x 5, or {mask.sum()} of the mask, got"
+    with pytest.raises(FileFormatError, match=expected):
+        read_photographs(tmp_path / "a")
+
+
+def test_names_differ_in_case_and_in_folders_before_them(tmp_path):
     folder(tmp_path / "a")
-    for name in ("mask.png", "light_intensities.txt"):
+    expected = read_photographs(tmp_path / "a")
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    for name in FOUR.split():
+        (tmp_path / "b" / name).rename(tmp_path / "b" / name.upper())
+    for name in ("mask.png", "Normal_gt.mat", "light_directions.txt", "filenames.txt"):
+        (tmp_path / "b" / name).rename(tmp_path / "b" / name.title())
+    got = read_photographs(tmp_path / "b")
+    assert np.array_equal(got.values, expected.values)
+    assert np.array_equal(got.truth, expected.truth)
+    (tmp_path / "a/filenames.txt").write_text(FOUR.replace("008", "./008").replace("007", "C:\\ball\\007"))
+    assert np.array_equal(read_photographs(tmp_path / "a").values, expected.values)
+
+
+def test_without_a_list_images_come_in_the_order_of_their_names(tmp_path):
+    folder(tmp_path / "a")
+    expected = read_photographs(tmp_path / "a")
+    (tmp_path / "a/filenames.txt").unlink()
+    write_png(tmp_path / "a/Normal_gt.png", np.zeros((ROWS, COLUMNS, 3), np.uint8))  # which is no photograph
+    got = read_photographs(tmp_path / "a")
+    assert np.array_equal(got.values, expected.values[:, ::-1])
+    assert "No filenames.txt: images are taken in the order of their names." in got.notes
+    write_png(tmp_path / "a/010.png", BLACK)
+    with pytest.raises(FileFormatError, match="expected 5, one for each image of the folder, by name, got 4"):
+        read_photographs(tmp_path / "a")
+
+
+@pytest.mark.parametrize("kind", ["8 bits", "one channel", "one intensity"])
+def test_images_and_intensities_of_other_kinds(kind, tmp_path):
+    images, mask, _ = folder(tmp_path / "a")
+    intensities = np.loadtxt(tmp_path / "a/light_intensities.txt")
+    if kind == "8 bits":
+        images = (images >> 8).astype(np.uint8)
+    if kind == "one channel":
+        images, intensities = images[..., :1], intensities @ np.asarray(LUMA)[:, None]
+    if kind == "one intensity":
+        intensities = intensities[:, :1]
+        np.savetxt(tmp_path / "a/light_intensities.txt", intensities)
+    for name, pixels in zip(FOUR.split(), images, strict=True):
+        write_png(tmp_path / "a" / name, pixels[..., 0] if kind == "one channel" else pixels)
+    photographs = read_photographs(tmp_path / "a")
+    expected = images[:, mask].transpose(1, 0, 2) / np.iinfo(images.dtype).max
+    np.testing.assert_allclose(photographs.values, expected, rtol=1e-7)
+    assert_close(photographs.lights.irradiance, intensities)
+
+
+def test_what_the_layout_lacks_is_said(tmp_path):
+    lacks = {
+        "mask.png": "No mask.png: every pixel is taken to see the object.",
+        "light_intensities.txt": "No light_intensities.txt: every light is taken to have the same, 1.",
+        "light_directions.txt": "No light_directions.txt: nothing is known of the lights.",
+    }
+    _, _, normals = folder(tmp_path / "a")
+    for name, note in lacks.items():
         shutil.copytree(tmp_path / "a", tmp_path / name)
         (tmp_path / name / name).unlink()
-        with pytest.raises(FileNotFoundError, match=name):
-            read_diligent(tmp_path / name)
+        photographs = read_photographs(tmp_path / name)
+        assert note in photographs.notes
+        assert (photographs.lights is None) == (name == "light_directions.txt")
+        known = normals[photographs.mask]
+        assert_close(photographs.truth, np.where(np.any(known, axis=-1, keepdims=True), known, np.nan))
 
 
 @pytest.mark.parametrize(("name", "expected"), [("ball", 4.09), ("cat", 8.41), ("reading", 19.78)])

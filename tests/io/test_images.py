@@ -123,6 +123,10 @@ def test_masks(tmp_path):
     assert read_mask(path).tolist() == [[False, False, True, True]]
     write_png(path, np.array([[0, 1]], np.uint8))  # as some tools write it
     assert read_mask(path).tolist() == [[False, True]]
+    cut_out = np.full((1, 3, 4), 255, np.uint8)  # white, and cut out by transparency
+    cut_out[0, :, 3] = [255, 0, 60]
+    path.write_bytes(png(cut_out, 6))
+    assert read_mask(path).tolist() == [[True, False, False]]
     write_png(path, np.zeros((3, 3), np.uint8))
     with pytest.raises(
         FileFormatError, match=r"mask.png: mask: expected pixels that see the object, above 0, got none"

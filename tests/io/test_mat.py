@@ -43,7 +43,7 @@ def test_what_is_no_such_file(tmp_path):
     with pytest.raises(FileFormatError, match="header: expected a MATLAB file of version 5 to 7"):
         read_mat_floats(path, "N")
     scipy.io.savemat(path, {"N": np.ones(3)})
-    with pytest.raises(FileFormatError, match="field 'M': expected this field, got none of this name"):
+    with pytest.raises(FileFormatError, match="field 'M': expected this field, got 'N'"):
         read_mat_floats(path, "M")
     with pytest.raises(FileNotFoundError):
         read_mat_floats(tmp_path / "b.mat", "N")

@@ -45,6 +45,9 @@ def test_hostile_variants(form, whole, tmp_path):
             assert isinstance(found, FileFormatError) or same(found, whole), name
         elif name == "the first byte cut off" and form.name == "astm":
             assert same(found, whole)
+        elif name.startswith("nan for number") and form.name == "csv":
+            # Of a value: a spreadsheet says so that nothing was measured, and the row is left out.
+            assert isinstance(found, FileFormatError) or (part(found, whole) and found.size == whole.size - 1), name
         else:
             assert isinstance(found, FileFormatError), (name, found)
 

@@ -78,7 +78,8 @@ def test_factors_of_lamberts_law():
     truth, _ = lights()
     normals = np.asarray(random_directions(0, 300, min_z=0.9), float)
     values = jnp.asarray(normals @ truth.T, jnp.float32)
-    found = factored(Pixels(values, jnp.ones_like(values), values))
+    found, forced = factored(Pixels(values, jnp.ones_like(values), values))
+    assert not forced
     left, _, right = np.linalg.svd(found.T @ truth)
     errors = angular_errors(found @ left @ right, truth)
     assert np.mean(errors) < 0.1  # it begins with singular vectors, which are exact, and goes on with middle ranks
@@ -88,7 +89,27 @@ def test_factors_of_lamberts_law():
 def test_unit_lengths_undo_a_map():
     truth, _ = lights()
     twisted = truth @ np.array([[1.3, 0.2, 0], [0, 0.7, 0.1], [0.3, 0, 1.1]])
-    np.testing.assert_allclose(np.linalg.norm(twisted @ unit_lengths(twisted), axis=1), 1, atol=1e-6)
+    matrix, forced = unit_lengths(twisted)
+    assert not forced
+    np.testing.assert_allclose(np.linalg.norm(twisted @ matrix, axis=1), 1, atol=1e-6)
+
+
+def test_lengths_that_no_matrix_has_are_met_by_one_that_is_near():
+    """Lengths grow so fast with z that the square that fits best is negative along it."""
+    truth, _ = lights()
+    vectors = truth / np.sqrt(truth**2 @ np.array([20.0, 20.0, -1.0]))[:, None]
+    matrix, forced = unit_lengths(vectors)
+    assert forced
+    values = np.linalg.eigvalsh(matrix) ** 2
+    np.testing.assert_allclose(values[0] / values[-1], 0.2, rtol=1e-6)
+    assert np.all(np.linalg.norm(vectors @ matrix, axis=1) > 0.9)
+
+
+def test_lights_four_times_over_are_refused():
+    truth, _ = lights(4)
+    again = np.repeat(truth, 4, axis=0) + 1e-4 * np.random.default_rng(0).normal(size=(16, 3))
+    with pytest.raises(ValueError, match="directions of the lights are not determined"):
+        unit_lengths(again)
 
 
 def test_lights_on_a_cone_are_refused():
