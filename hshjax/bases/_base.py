@@ -127,7 +127,7 @@ def check_modes(basis, coefficients: Array) -> None:
         )
 
 
-# Compiled once for a basis and a shape, also where a user calls without jit: the loops are new functions at every call.
+# Jitted here: compiled once for a basis and a shape, also where a user calls without jit.
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
