@@ -86,9 +86,11 @@ def compare(
     counts = normals[:, 2] > config.min_cosine
 
     rows, panels, found, radiance = [], {}, {}, mitsuba_radiance(light, directions)
+    all_looks = {"compared": (light, {}), **looks}
     for label, (brdf, inputs) in record.progress(cases.items(), "spheres"):
-        all_looks = {"compared": (light, {}), **looks}
-        found[label] = record.stage(f"mitsuba {label}", ask, config, inputs, all_looks, directions)
+        # Seeds of their own: equal samples would give similar materials equal noise, and all rows one mean difference.
+        seeded = inputs | {"seed": int(record.rng(f"mitsuba {label}").integers(2**16))}
+        found[label] = record.stage(f"mitsuba {label}", ask, config, seeded, all_looks, directions)
         peer = found[label]["compared"]
         ours = record.stage(f"ours {label}", _ours, brdf, maps, normals, inputs["bsdf"] == "measured")
         scores = Scores(ours["radiance"], peer["mean"][inside], peer["error"][inside], counts)
@@ -214,13 +216,13 @@ def sphere(size: int) -> tuple[np.ndarray, np.ndarray]:
 def ask(
     config: Config, inputs: dict[str, Any], looks: Looks, directions: np.ndarray
 ) -> dict[str, dict[str, np.ndarray]]:
-    """What `experiments/peers/mitsuba_sphere.py` says at each look at a sphere; `inputs` describe its material.
+    """What `experiments/peers/mitsuba_sphere.py` says at each look at a sphere; `inputs` are its material and `seed`.
 
     The library's own material needs an environment that has both: this one, with the extra `mitsuba`.
     """
     common = {
         "directions": directions, "strategy": "both", "variant": config.variant, "size": config.size,
-        "spp": config.spp, "seed": config.seed % 2**16,
+        "spp": config.spp,
     }  # fmt: skip
     several = [common | inputs | {"environment": image} | other for image, other in looks.values()]
     answers = peers.run_each(
