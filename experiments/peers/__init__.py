@@ -2,6 +2,7 @@
 
 - `environment(name)`: the Python of a peer's environment, made on demand from pinned requirements.
 - `run(name, script, inputs)`: runs a script of this folder in it, arrays in, arrays out.
+- `run_each(name, script, several)`: the same for several inputs, in one process.
 - `PeerUnavailableError`: the environment cannot be made here, or a library that the peer needs is missing.
 
 `python -m experiments.peers` makes them all and says what is missing. Modules without an underscore, but for
@@ -11,6 +12,6 @@
 from experiments.peers._environments import PEERS, environment
 from experiments.peers._errors import PeerError, PeerUnavailableError
 from experiments.peers._llvm import llvm_library
-from experiments.peers._process import run
+from experiments.peers._process import run, run_each
 
-__all__ = ["PEERS", "PeerError", "PeerUnavailableError", "environment", "llvm_library", "run"]
+__all__ = ["PEERS", "PeerError", "PeerUnavailableError", "environment", "llvm_library", "run", "run_each"]

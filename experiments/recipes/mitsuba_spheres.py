@@ -1,5 +1,7 @@
 """The reflectance equation against Mitsuba 3: spheres under an environment map, differences in units of its noise."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -22,6 +24,9 @@ ALBEDO = 0.5
 
 WITHIN = "share within 3 standard errors"
 BIAS = "mean [its standard error]"
+
+Looks = Mapping[str, tuple[np.ndarray, dict[str, Any]]]
+"""Name of a look at a sphere -> the map of its light, and other inputs than those of the sphere."""
 
 
 class Config(RecipeConfig):
@@ -62,22 +67,31 @@ def run(config: Config, record: Record) -> None:
 
 
 def compare(
-    config: Config, record: Record, cases: dict[str, tuple[PairFunction, dict[str, Any]]]
-) -> dict[str, np.ndarray]:
+    config: Config,
+    record: Record,
+    cases: dict[str, tuple[PairFunction, dict[str, Any]]],
+    looks: Looks = MappingProxyType({}),
+) -> dict[str, dict[str, dict[str, np.ndarray]]]:
     """Spheres of our BRDFs, and of the materials by which they are described to `experiments/peers/mitsuba_scenes.py`.
 
-    Returns Mitsuba's standard errors by label, `(size, size, 3)`.
+    Mitsuba has further `looks` at each sphere on the way: it takes longer to start and to compile than to look.
+
+    Returns what `ask` says, by label and name of the look; that of the comparison is "compared".
     """
-    light = averaged(np.asarray(read_exr(local_path(config.environment))), config.height)
+    light = environment(config)
     maps = [hshjax.EnvironmentMap(refined(light, k), up="y") for k in (config.refine, config.refine // 2)]
     directions = record.rng("directions").normal(size=(10_000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     normals, inside = sphere(config.size)
     counts = normals[:, 2] > config.min_cosine
 
-    rows, panels, errors, radiance = [], {}, {}, mitsuba_radiance(light, directions)
+    rows, panels, found, radiance = [], {}, {}, mitsuba_radiance(light, directions)
+    all_looks = {"compared": (light, {}), **looks}
     for label, (brdf, inputs) in record.progress(cases.items(), "spheres"):
-        peer = record.stage(f"mitsuba {label}", ask, config, light, inputs, directions)
+        # Seeds of their own: equal samples would give similar materials equal noise, and all rows one mean difference.
+        seeded = inputs | {"seed": int(record.rng(f"mitsuba {label}").integers(2**16))}
+        found[label] = record.stage(f"mitsuba {label}", ask, config, seeded, all_looks, directions)
+        peer = found[label]["compared"]
         ours = record.stage(f"ours {label}", _ours, brdf, maps, normals, inputs["bsdf"] == "measured")
         scores = Scores(ours["radiance"], peer["mean"][inside], peer["error"][inside], counts)
         rows.append(
@@ -91,7 +105,6 @@ def compare(
             }
         )
         panels[label] = [_image(x, inside) for x in (peer["mean"][inside], ours["radiance"], scores.score)]
-        errors[label] = peer["error"]
         lights = np.max(np.abs(peer["radiance"] - radiance) / radiance)
 
     record.table(
@@ -115,7 +128,7 @@ def compare(
     record.metric(
         "light, largest relative difference", lights, note="Mitsuba's interpolation against our formula of it"
     )
-    return errors
+    return found
 
 
 class Scores(NamedTuple):
@@ -178,6 +191,11 @@ def _cases(config: Config) -> dict[str, tuple[PairFunction, dict[str, Any]]]:
     return cases
 
 
+def environment(config: Config) -> np.ndarray:
+    """The map that Mitsuba gets, `(height, 2 height, 3)`."""
+    return averaged(np.asarray(read_exr(local_path(config.environment))), config.height)
+
+
 def averaged(image: np.ndarray, height: int) -> np.ndarray:
     """Means over square blocks of an image, `(height, any, 3)`; negative values, which no light has, as 0.
 
@@ -196,18 +214,21 @@ def sphere(size: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def ask(
-    config: Config, light: np.ndarray, inputs: dict[str, Any], directions: np.ndarray | None = None
-) -> dict[str, np.ndarray]:
-    """What `experiments/peers/mitsuba_sphere.py` says of a sphere under a light; `inputs` describe its material.
+    config: Config, inputs: dict[str, Any], looks: Looks, directions: np.ndarray
+) -> dict[str, dict[str, np.ndarray]]:
+    """What `experiments/peers/mitsuba_sphere.py` says at each look at a sphere; `inputs` are its material and `seed`.
 
     The library's own material needs an environment that has both: this one, with the extra `mitsuba`.
     """
     common = {
-        "environment": light, "directions": np.eye(3) if directions is None else directions, "strategy": "both",
-        "variant": config.variant, "size": config.size, "spp": config.spp, "seed": config.seed % 2**16,
+        "directions": directions, "strategy": "both", "variant": config.variant, "size": config.size,
+        "spp": config.spp,
     }  # fmt: skip
-    llvm = config.variant.startswith("llvm")
-    return peers.run("mitsuba", "mitsuba_sphere", common | inputs, llvm=llvm, here=inputs["bsdf"] == "hshjax")
+    several = [common | inputs | {"environment": image} | other for image, other in looks.values()]
+    answers = peers.run_each(
+        "mitsuba", "mitsuba_sphere", several, llvm=config.variant.startswith("llvm"), here=inputs["bsdf"] == "hshjax"
+    )
+    return dict(zip(looks, answers, strict=True))
 
 
 def _ours(

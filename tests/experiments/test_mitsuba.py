@@ -53,8 +53,20 @@ def test_arrays_numbers_and_strings_travel(ours_as_peer):
     assert answer["text"] == "so!"
     with pytest.raises(ValueError, match="'file' of int64 cannot travel"):
         peers.run("mitsuba", "echo", {"file": 1})
+    with pytest.raises(ValueError, match="'file' of int64 cannot travel"):
+        peers.run_each("mitsuba", "echo", [{"n": 1}, {"file": 1}])
     with pytest.raises(ValueError, match="'a' of object cannot travel"):
         peers.run("mitsuba", "echo", {"a": None})
+
+
+def test_several_inputs_share_a_process(ours_as_peer):
+    (ours_as_peer / "count.py").write_text(
+        "import os\nfrom exchange import answer\nanswer(lambda x: {'double': 2 * x['n'], 'process': os.getpid()})\n"
+    )
+    answers = peers.run_each("mitsuba", "count", [{"n": n} for n in (3, 1, 2)])
+    assert [answer["double"] for answer in answers] == [6, 2, 4]
+    assert len({int(answer["process"]) for answer in answers}) == 1
+    assert peers.run_each("mitsuba", "count", []) == []
 
 
 def test_a_failing_script_says_why(ours_as_peer):
