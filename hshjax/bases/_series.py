@@ -8,6 +8,7 @@ product of matrices. s^m comes as s² to a power, times s for odd m: s² is smoo
 """
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +18,7 @@ from hshjax._special import blockwise, multiply, powers, recurrence
 from hshjax._typing import Array, Float
 from hshjax.bases._bands import bands, first_orders
 from hshjax.bases._kernel import kernel
+from hshjax.bases._merged import merged
 
 POINTS = 1024
 """Points a block at most: amplitudes of three channels of order 16 then stay in the second-level cache."""
@@ -29,6 +31,15 @@ Pair = tuple[Array, Array]
 
 def sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
     """Σ_k c_k y_k(w), `(points, channels)`. Values only, see `differentiable_sums`."""
+    return merged(partial(_sums, basis))(coefficients, w)
+
+
+def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
+    """∂/∂w of the sums, `(points, channels, 3)`: by x, s² and s, then those of the chart. Values only."""
+    return merged(partial(_gradients, basis))(coefficients, w)
+
+
+def _sums(basis, coefficients: Array, w: Array) -> Array:
     channels, matrix = coefficients.shape[1], _matrices(basis, coefficients)
 
     def combined(w, *found):
@@ -42,8 +53,7 @@ def sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "p
     return blockwise(block, _block(basis, channels), w)
 
 
-def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
-    """∂/∂w of the sums, `(points, channels, 3)`: by x, s² and s, then those of the chart. Values only."""
+def _gradients(basis, coefficients: Array, w: Array) -> Array:
     channels, matrix = coefficients.shape[1], _matrices(basis, coefficients, slopes=True)
 
     def parts(w, *found):

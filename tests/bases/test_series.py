@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, SphericalHarmonics, Zernike, _rows, _series
+from hshjax.bases import HSH, SphericalHarmonics, Zernike, _merged, _rows, _series
 from hshjax.bases._bands import WIDTH, bands
 from tests.bases.cases import EVERY_BASIS
 from tests.helpers import DTYPE, X64, assert_close, directions
@@ -61,6 +61,28 @@ def test_blocks_that_do_not_divide_the_points(monkeypatch):
     close(_series.sums(basis, c, w), whole[0])
     close(_series.gradients(basis, c, w), whole[1])
     close(_rows.rows(basis, w), whole[2])
+
+
+@pytest.mark.parametrize("few", [1, POINTS + 1], ids=["one by one", "side by side"])
+@pytest.mark.parametrize("verb", [_series.sums, _series.gradients], ids=["sums", "gradients"])
+def test_batches_of_either_and_of_both(monkeypatch, verb, few):
+    monkeypatch.setattr(_merged, "FEW", few)
+    basis, w = HSH(WIDTH), directions(0, 3 * POINTS, min_z=0.01).reshape(3, POINTS, 3)
+    c = jnp.stack([coefficients(basis.count), 2 * coefficients(basis.count), coefficients(basis.count)[::-1]])
+    each = [[verb(basis, of, at) for at in w] for of in c]
+    close(jax.vmap(lambda at: verb(basis, c[0], at))(w), jnp.stack(each[0]))
+    close(jax.vmap(lambda of: verb(basis, of, w[0]))(c), jnp.stack([row[0] for row in each]))
+    close(jax.vmap(lambda of, at: verb(basis, of, at))(c, w), jnp.stack([each[k][k] for k in range(3)]))
+    of_all = jax.vmap(lambda of: jax.vmap(lambda at: verb(basis, of, at))(w))(c)
+    close(of_all, jnp.stack([jnp.stack(row) for row in each]))
+
+
+def test_a_batch_of_points_is_taken_in_blocks():
+    """As one call of all points: the whole batch of radial functions would be the largest array of the program."""
+    basis, points = HSH(9), 50_000
+    arguments = jnp.zeros((basis.count, 3), DTYPE), jnp.zeros((points, 3), DTYPE)
+    compiled = jax.jit(jax.vmap(basis.evaluate, (None, 0))).lower(*arguments).compile()
+    assert compiled.memory_analysis().temp_size_in_bytes < points * basis.count * arguments[0].dtype.itemsize / 20
 
 
 @pytest.mark.parametrize("basis", [HSH(13), SphericalHarmonics(13), Zernike(13)], ids=str)
