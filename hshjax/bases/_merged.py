@@ -35,3 +35,22 @@ def merged(function: Callable[[Array, Array], Array]) -> Callable[[Array, Array]
         return jnp.moveaxis(found.reshape(w.shape[0], size, channels, *found.shape[2:]), 1, 0), True
 
     return run
+
+
+def merged_pairs(function: Callable) -> Callable:
+    """The same for `function(shared, wi, wo)` of `(pairs, 3)` each, where `shared`, any tree, is that of all items."""
+    run = custom_vmap(function)
+
+    @run.def_vmap
+    def _(size, batched, shared, wi, wo):
+        of_items, *at_items = batched
+        if any(jax.tree.leaves(of_items)):
+            axes = jax.tree.map(lambda differs: 0 if differs else None, batched)
+            return jax.vmap(function, axes)(shared, wi, wo), True
+        whole = [
+            w if each else jnp.broadcast_to(w, (size, *w.shape)) for w, each in zip((wi, wo), at_items, strict=True)
+        ]
+        found = merged_pairs(function)(shared, *(w.reshape(size * w.shape[1], 3) for w in whole))
+        return found.reshape(size, whole[0].shape[1], *found.shape[1:]), True
+
+    return run

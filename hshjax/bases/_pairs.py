@@ -13,6 +13,7 @@ from jax.custom_derivatives import SymbolicZero
 from hshjax._special import blockwise
 from hshjax._typing import Array, Float, Real
 from hshjax.bases._base import AbstractBasis, check_modes, matmul
+from hshjax.bases._merged import merged_pairs
 from hshjax.geometry import as_directions, common_dtype
 
 PAIR_BLOCK = 512
@@ -117,7 +118,14 @@ def _differentiable_sums(
     static: AbstractPairBasis, arrays: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array
 ):
     found = eqx.combine(static, arrays).written_out_sums(coefficients, wi, wo)
-    return _block_sums(static, arrays, coefficients, wi, wo) if found is None else found
+    if found is not None:
+        return found
+
+    def sums(shared, wi, wo):
+        arrays, coefficients = shared
+        return _block_sums(static, arrays, coefficients, wi, wo)
+
+    return merged_pairs(sums)((arrays, coefficients), wi, wo)
 
 
 @partial(_differentiable_sums.defjvp, symbolic_zeros=True)

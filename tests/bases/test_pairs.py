@@ -280,3 +280,16 @@ def test_wrong_coefficients_are_named(name):
 @pytest.mark.parametrize("order", [0, 1, 3, 4])
 def test_the_count_is_that_of_the_modes(name, order):
     assert make(name, order).count == len(make(name, order).modes)
+
+
+@pytest.mark.parametrize("name", ALL_PAIR_BASES)
+def test_batches_of_vmap_are_more_pairs(name):
+    pairs = ALL_PAIR_BASES[name](HSH(4))  # with channels enough that nothing is written out
+    wi, wo = directions(60, 6).reshape(2, 3, 3), directions(61, 6).reshape(2, 3, 3)
+    c = normal(62, 2, pairs.count, 20)
+    expected = jnp.stack([pairs.evaluate(c[0], *both) for both in zip(wi, wo, strict=True)])
+    assert_close(jax.vmap(lambda i, o: pairs.evaluate(c[0], i, o))(wi, wo), expected)
+    one_sided = jnp.stack([pairs.evaluate(c[0], wi[k], wo[0]) for k in range(2)])
+    assert_close(jax.vmap(lambda i: pairs.evaluate(c[0], i, wo[0]))(wi), one_sided)
+    different = jnp.stack([pairs.evaluate(c[k], wi[k], wo[k]) for k in range(2)])
+    assert_close(jax.vmap(pairs.evaluate)(c, wi, wo), different)
