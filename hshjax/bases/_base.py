@@ -154,16 +154,7 @@ def _gradients(basis: AbstractBasis, coefficients: Array, w: Array) -> Float[Arr
 
 @_gradients.defjvp
 def _(basis, primals, tangents):
-    def along(axis):
-        """Along an axis, in operations that can be differentiated again."""
-
-        def of(coefficients, w):
-            sums = partial(_series.differentiable_sums, basis, coefficients)
-            return jax.jvp(sums, (w,), (jnp.broadcast_to(axis, w.shape),))[1]
-
-        return jax.jvp(of, primals, tangents)[1]
-
-    tangent = jnp.moveaxis(jax.vmap(along)(jnp.eye(3, dtype=primals[1].dtype)), 0, -1)
+    tangent = jax.jvp(partial(_series.differentiable_gradients, basis), primals, tangents)[1]
     return _gradients(basis, *primals), tangent
 
 
