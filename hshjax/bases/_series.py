@@ -70,11 +70,12 @@ def differentiable_gradients(basis, coefficients: Float[Array, "modes channels"]
     @jax.checkpoint  # recomputed, not stored, in reverse: amplitudes of all points would be the largest array
     def block(w):
         chart, points = _chart(basis, w), w.shape[0]
-        found = [one.reshape(2, -1, 2, channels, points) for one in _amplitudes(basis, matrix, w)]
+        both = zip(bands(basis), _amplitudes(basis, matrix, w), strict=True)
+        found = [one.reshape(2, len(band.values), 2, channels, points) for band, one in both]
         terms = jnp.concatenate(found, axis=1)
         terms = jnp.pad(terms, ((0, 0), (0, terms.shape[1] % 2), *[(0, 0)] * 3))
         # By k, (values | slopes, cosine | sine, m = 2k | 2k + 1, channels, points).
-        terms = terms.reshape(2, -1, 2, 2, channels, points).transpose(1, 0, 3, 2, 4, 5)
+        terms = terms.reshape(2, terms.shape[1] // 2, 2, 2, channels, points).transpose(1, 0, 3, 2, 4, 5)
         square = chart.square[0][None], chart.square[1][None]
 
         def step(state, term):

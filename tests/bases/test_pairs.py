@@ -280,3 +280,8 @@ def test_wrong_coefficients_are_named(name):
 @pytest.mark.parametrize("order", [0, 1, 3, 4])
 def test_the_count_is_that_of_the_modes(name, order):
     assert make(name, order).count == len(make(name, order).modes)
+
+
+def test_no_channels_are_no_values():
+    pairs, w = TensorBasis(HSH(1)), directions(0, 3)
+    assert pairs.evaluate(jnp.zeros((pairs.count, 0), DTYPE), w, w).shape == (3, 0)

@@ -49,7 +49,9 @@ def test_any_number_of_channels(channels):
     basis, w = HSH(WIDTH), directions(0, POINTS)
     c = coefficients(basis.count, channels)
     close(_series.sums(basis, c, w), _rows.rows(basis, w) @ c)
-    assert _series.gradients(basis, c, w).shape == (POINTS, channels, 3)
+    for gradients in (_series.gradients, _series.differentiable_gradients):
+        assert gradients(basis, c, w).shape == (POINTS, channels, 3)
+        assert gradients(basis, c, w[:0]).shape == (0, channels, 3)
 
 
 def test_blocks_that_do_not_divide_the_points(monkeypatch):
