@@ -1,8 +1,9 @@
 """Radial functions of neighbouring azimuthal orders, by those of the lowest of them: sums become products of matrices.
 
 All p_j^m of one m obey a recurrence, which passes through memory at every degree. Yet p_j^m is a polynomial, and so a
-sum of p_0^l ... p_j^l for any l. With l the lowest of `WIDTH` neighbours the numbers that connect them stay small
-(of the order of the square of the degree: no digit is lost, also in float32), which they do not for l = 0 and large m.
+sum of p_0^l ... p_j^l for any l. With l the lowest of `WIDTH` neighbours the numbers that connect them stay small (44
+at order 16, 170 at 32; for slopes 1800 and 27000), which they do not for l = 0 and large m. In float32 they cost no
+digit of the largest value; of gradients that are small beside the largest, inside, they cost half of one at order 32.
 """
 
 from functools import lru_cache

@@ -132,7 +132,7 @@ def check_modes(basis, coefficients: Array) -> None:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
-    return (_written_out.rows if _short(basis, _written_out.AS_ROWS) else rows)(basis, w)
+    return (_written_out.rows if _short_rows(basis) else rows)(basis, w)
 
 
 @_differentiable_rows.defjvp
@@ -143,8 +143,8 @@ def _(basis, primals, tangents):
 _rows = jax.jit(_differentiable_rows, static_argnums=0)
 
 
-def _short(basis: AbstractBasis, channels: int) -> bool:
-    return _written_out.short(basis.count, channels)
+def _short_rows(basis: AbstractBasis) -> bool:
+    return _written_out.short(basis.count, _written_out.AS_ROWS)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -154,23 +154,15 @@ def _gradients(basis: AbstractBasis, coefficients: Array, w: Array) -> Float[Arr
 
 @_gradients.defjvp
 def _(basis, primals, tangents):
-    def along(axis):
-        """Along an axis, in operations that can be differentiated again."""
-
-        def of(coefficients, w):
-            sums = partial(_series.differentiable_sums, basis, coefficients)
-            return jax.jvp(sums, (w,), (jnp.broadcast_to(axis, w.shape),))[1]
-
-        return jax.jvp(of, primals, tangents)[1]
-
-    tangent = jnp.moveaxis(jax.vmap(along)(jnp.eye(3, dtype=primals[1].dtype)), 0, -1)
+    tangent = jax.jvp(partial(_series.differentiable_gradients, basis), primals, tangents)[1]
     return _gradients(basis, *primals), tangent
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    sums = _written_out.sums if _short(basis, coefficients.shape[1]) else _series.sums
-    return sums(basis, coefficients, w)
+    limit = _written_out.FUNCTIONS * (2 if w.shape[0] <= _written_out.FEW else 1)
+    short = _written_out.short(basis.count, coefficients.shape[1], limit)
+    return (_written_out.sums if short else _series.sums)(basis, coefficients, w)
 
 
 @partial(_differentiable_sums.defjvp, symbolic_zeros=True)
@@ -184,7 +176,7 @@ def _(basis, primals, tangents):
 
         @jax.checkpoint  # recomputed, not stored, for the transpose: rows would be the largest array of the program
         def product(d, w):
-            if _short(basis, _written_out.AS_ROWS):
+            if _short_rows(basis):
                 return matmul(_written_out.rows_by_mode(basis, w).T, d)
             functions, columns = by_function(basis, w)
             return matmul(functions.T, d[jnp.asarray(columns)])

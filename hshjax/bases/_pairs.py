@@ -209,7 +209,7 @@ class TensorBasis(AbstractProductBasis):
 
     def block_sums(self, coefficients, wi, wo):
         k = self.basis.count
-        return bilinear(self.basis, coefficients.reshape(k, k, -1), wi, wo)
+        return bilinear(self.basis, coefficients.reshape(k, k, coefficients.shape[1]), wi, wo)
 
     def __hash__(self) -> int:
         return hash((type(self), self.basis))
@@ -294,7 +294,7 @@ def bilinear(
 ) -> Float[Array, "pairs channels"]:
     """h(wi)ᵀ A h(wo) for every channel: one product with A, then a dot; no K x K product per pair."""
     k, channels = matrix.shape[0], matrix.shape[2]
-    product = matmul(basis(wi), matrix.reshape(k, k * channels)).reshape(-1, k, channels)
+    product = matmul(basis(wi), matrix.reshape(k, k * channels)).reshape(wi.shape[0], k, channels)
     return jnp.sum(product * basis(wo)[:, :, None], axis=1)
 
 

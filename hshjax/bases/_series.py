@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import blockwise, multiply, powers, recurrence
+from hshjax._special import blockwise, multiply, recurrence
 from hshjax._typing import Array, Float
 from hshjax.bases._bands import bands, first_orders
 from hshjax.bases._kernel import kernel
@@ -30,12 +30,13 @@ Pair = tuple[Array, Array]
 
 
 def sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
-    """Σ_k c_k y_k(w), `(points, channels)`. Values only, see `differentiable_sums`."""
+    """Σ_k c_k y_k(w), `(points, channels)`. Values only."""
     return merged(partial(_sums, basis))(coefficients, w)
 
 
 def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
-    """∂/∂w of the sums, `(points, channels, 3)`: by x, s² and s, then those of the chart. Values only."""
+    """∂/∂w of the sums, `(points, channels, 3)`: by x, s² and s, then those of the chart. Values only:
+    see `differentiable_gradients`."""
     return merged(partial(_gradients, basis))(coefficients, w)
 
 
@@ -64,35 +65,45 @@ def _gradients(basis, coefficients: Array, w: Array) -> Array:
         by_x = even_by_x[0] + multiply(chart.odd, odd_by_x)[0]
         return by_x, _plus(even, multiply(chart.odd, odd)), _horner(terms[1::2], chart.square)
 
-    def along_axes(w, by_x, by_square, by_odd):
-        axes = [jnp.broadcast_to(axis, w.shape) for axis in jnp.eye(3, dtype=w.dtype)]
-        moved = [jax.jvp(lambda w: _chart(basis, w), (w,), (axis,))[1] for axis in axes]
-        return [by_x * to.x + multiply(by_square, to.square)[0] + multiply(by_odd, to.odd)[0] for to in moved]
-
     def block(w):
-        found = kernel(along_axes, w, *kernel(parts, w, *_amplitudes(basis, matrix, w)))
+        found = kernel(partial(_along_axes, basis), w, *kernel(parts, w, *_amplitudes(basis, matrix, w)))
         return jnp.stack(found).T
 
     return blockwise(block, _block(basis, 2 * channels), w)
 
 
-def differentiable_sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
-    """The same as `sums`, of operations that have derivatives of every order."""
-    channels, matrix = coefficients.shape[1], _matrices(basis, coefficients)
-    orders = len(basis.tables().start)
+def differentiable_gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
+    """The same as `gradients`, of operations that have derivatives of every order: Horner in a loop."""
+    channels, matrix = coefficients.shape[1], _matrices(basis, coefficients, slopes=True)
 
-    def add(total, order):
-        (cosine, sine), (re, im) = order
-        return total + cosine * re[None] + sine * im[None], None
-
+    @jax.checkpoint  # recomputed, not stored, in reverse: amplitudes of all points would be the largest array
     def block(w):
-        chart = basis.chart(w)
-        found = jnp.concatenate(_amplitudes(basis, matrix, w))
-        power = jnp.swapaxes(powers(chart.square, chart.odd, orders), 0, 1)
-        found = found.reshape(orders, 2, channels, w.shape[0])
-        return jax.lax.scan(add, jnp.zeros_like(found[0, 0]), (found, power))[0].T
+        chart, points = _chart(basis, w), w.shape[0]
+        both = zip(bands(basis), _amplitudes(basis, matrix, w), strict=True)
+        found = [one.reshape(2, len(band.values), 2, channels, points) for band, one in both]
+        terms = jnp.concatenate(found, axis=1)
+        terms = jnp.pad(terms, ((0, 0), (0, terms.shape[1] % 2), *[(0, 0)] * 3))
+        # By k, (values | slopes, cosine | sine, m = 2k | 2k + 1, channels, points).
+        terms = terms.reshape(2, terms.shape[1] // 2, 2, 2, channels, points).transpose(1, 0, 3, 2, 4, 5)
+        square = chart.square[0][None], chart.square[1][None]
 
-    return blockwise(block, _block(basis, channels), w)
+        def step(state, term):
+            value, by_square, by_x = state
+            by_square = _plus(multiply(by_square, square), value)
+            following = [
+                _plus(multiply(before, square), (cosine, -sine))
+                for before, (cosine, sine) in zip((value, by_x), term, strict=True)
+            ]
+            return (following[0], by_square, following[1]), None
+
+        zeros = (jnp.zeros_like(terms[0, 0, 0]),) * 2
+        found = jax.lax.scan(step, (zeros,) * 3, terms, reverse=True)[0]
+        value, by_square, by_x = (tuple(zip(*pair, strict=True)) for pair in found)  # even and odd m of each
+        by_square = _plus(by_square[0], multiply(chart.odd, by_square[1]))
+        along = _along_axes(basis, w, by_x[0][0] + multiply(chart.odd, by_x[1])[0], by_square, value[1])
+        return jnp.stack(along).T
+
+    return blockwise(block, _block(basis, 2 * channels), w)
 
 
 def _matrices(basis, coefficients: Float[Array, "modes channels"], *, slopes: bool = False) -> list[Array]:
@@ -131,6 +142,13 @@ def _terms(basis, found: Sequence[Array], channels: int) -> list[Pair]:
 def _chart(basis, w: Float[Array, "points 3"]):
     """`(1, points)` each, for all channels."""
     return jax.tree.map(lambda one: one[None], basis.chart(w))
+
+
+def _along_axes(basis, w: Float[Array, "points 3"], by_x: Array, by_square: Pair, by_odd: Pair) -> list[Array]:
+    """∂/∂x, ∂/∂y, ∂/∂z, `(channels, points)` each, from derivatives by what the chart holds."""
+    axes = [jnp.broadcast_to(axis, w.shape) for axis in jnp.eye(3, dtype=w.dtype)]
+    moved = [jax.jvp(lambda w: _chart(basis, w), (w,), (axis,))[1] for axis in axes]
+    return [by_x * to.x + multiply(by_square, to.square)[0] + multiply(by_odd, to.odd)[0] for to in moved]
 
 
 def _block(basis, channels: int) -> int:

@@ -293,3 +293,8 @@ def test_batches_of_vmap_are_more_pairs(name):
     assert_close(jax.vmap(lambda i: pairs.evaluate(c[0], i, wo[0]))(wi), one_sided)
     different = jnp.stack([pairs.evaluate(c[k], wi[k], wo[k]) for k in range(2)])
     assert_close(jax.vmap(pairs.evaluate)(c, wi, wo), different)
+
+
+def test_no_channels_are_no_values():
+    pairs, w = TensorBasis(HSH(1)), directions(0, 3)
+    assert pairs.evaluate(jnp.zeros((pairs.count, 0), DTYPE), w, w).shape == (3, 0)

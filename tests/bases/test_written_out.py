@@ -53,6 +53,9 @@ def test_which_are_short():
     assert _written_out.short(HSH(5).count, 3)
     assert not _written_out.short(HSH(6).count, 3)
     assert not _written_out.short(HSH(8).count, 0)
+    for points, written_out in ((_written_out.FEW, True), (_written_out.FEW + 1, False)):
+        program = str(jax.make_jaxpr(HSH(6).evaluate)(coefficients(49, 3), jnp.zeros((points, 3), DTYPE)))
+        assert ("dot_general" not in program) == written_out
     pairs, w = IsotropicBasis(HSH(8)), jnp.zeros((1, 3), DTYPE)
     shape = jax.eval_shape(pairs.written_out_sums, coefficients(pairs.count, 3), w, w)
     assert shape.shape == (1, 3)
