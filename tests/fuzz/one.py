@@ -30,13 +30,9 @@ def sized(name: str, good: bytes, changed: bytes) -> bytes:
 
 def check(name: str, good: bytes, readers: tuple[Callable, ...], path: Path) -> Callable[[bytes], None]:
     """What an input must pass: AssertionError where a reader does what it must not do, after keeping the input."""
-    from tests.io.hostile_process import limit_memory, wrong
-
-    runs = count()
+    from tests.io.hostile_process import wrong
 
     def passes(changed: bytes) -> None:
-        if next(runs) % ROUND == 0:  # what the fuzzer itself keeps does not count
-            limit_memory()
         content = sized(name, good, changed)
         path.write_bytes(content)
         for read in readers:
@@ -48,6 +44,20 @@ def check(name: str, good: bytes, readers: tuple[Callable, ...], path: Path) -> 
                 raise AssertionError(f"{kept}: {fault}")
 
     return passes
+
+
+def limited(passes: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """The same in limited memory, for the rest of the process: what the fuzzer itself keeps does not count."""
+    from tests.io.hostile_process import limit_memory
+
+    runs = count()
+
+    def run(changed: bytes) -> None:
+        if next(runs) % ROUND == 0:
+            limit_memory()
+        passes(changed)
+
+    return run
 
 
 def led(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
@@ -62,7 +72,7 @@ def led(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
     corpus.mkdir()
     (corpus / "seed").write_bytes(content[:largest])
     limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-seed={start}", "-timeout=10", "-rss_limit_mb=0"]
-    passes = check(name, content, readers, folder / "file")
+    passes = limited(check(name, content, readers, folder / "file"))
     atheris.Setup([sys.argv[0], *limits, f"-max_len={largest}", "-artifact_prefix=/dev/null", str(corpus)], passes)
     atheris.Fuzz()
 
@@ -72,7 +82,8 @@ def drawn(name: str, seconds: int, runs: int, start: int, folder: Path) -> None:
     from hypothesis import HealthCheck, given, seed, settings, strategies as st
 
     content, readers = prepared(name, folder)
-    passes, end, done = check(name, content, readers, folder / "file"), time.monotonic() + seconds, 0
+    passes = limited(check(name, content, readers, folder / "file"))
+    end, done = time.monotonic() + seconds, 0
     word = st.one_of(
         st.binary(max_size=16),
         st.sampled_from([b"\xff\xff\xff\x7f", b"\xff" * 8, bytes(8), b"nan", b"-1", b"1e999", b"\n", b",", b"0" * 400]),

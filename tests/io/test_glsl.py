@@ -108,7 +108,7 @@ def shown(tmp_path_factory):
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     answer = re.search(r'<pre id="answer">(.*?)</pre>', done.stdout, re.DOTALL)
-    assert answer is not None, done.stderr[-2000:]
+    assert answer is not None, f"status {done.returncode}: {done.stderr[-2000:]}"
     assert answer[1], done.stderr[-2000:]
     found = json.loads(answer[1])
     if "missing" in found:
