@@ -102,36 +102,38 @@ class Recurrences(NamedTuple):
     """One after the other, as `recurrence` takes them. Host arrays."""
 
     steps: np.ndarray  # (rows, 4): slope, shift, back, start; where the first three are 0 another one begins
-    factors: np.ndarray  # (rows,) int32: by which row of `starts` the start is multiplied
+    turns: np.ndarray  # (rows, 2) int32: (cosine | sine, m) of the power that the start is multiplied with
     first: np.ndarray  # (recurrences,) int32: rows where they begin
 
 
 def recurrences(tables: RadialTables, parts: Sequence[tuple[int, int]]) -> Recurrences:
-    """Of all radial functions of the orders m, for each (m, row of `starts`) in `parts`."""
+    """Of all radial functions of the orders m, for each (m, 0 for the cosine | 1 for the sine) in `parts`."""
     steps, counts = tables.steps(), [int(tables.counts[m]) for m, _ in parts]
     return Recurrences(
         np.concatenate([steps[m, :count] for (m, _), count in zip(parts, counts, strict=True)]),
-        np.repeat([factor for _, factor in parts], counts).astype(np.int32),
+        np.repeat([(part, m) for m, part in parts], counts, axis=0).astype(np.int32),
         np.cumsum([0, *counts[:-1]]).astype(np.int32),
     )
 
 
 def recurrence(
-    all_of: Recurrences, x: Float[Array, " points"], starts: Float[Array, "starts points"] | None = None
+    all_of: Recurrences, x: Float[Array, " points"], power: Float[Array, "2 orders points"] | None = None
 ) -> Float[Array, "rows points"]:
-    """q_i = (slope_i x + shift_i) q_{i-1} - back_i q_{i-2} + start_i, the start times its row of `starts`, if given.
+    """q_i = (slope_i x + shift_i) q_{i-1} - back_i q_{i-2} + start_i, the start times its s^m of `powers`, if given.
+
+    A recurrence is linear: what begins with a power of s yields functions with that azimuth.
 
     Many recurrences are one loop, of one kernel, which takes as long to compile as one of them.
     """
 
     def step(state, row):
         before, last = state
-        (slope, shift, back, start), factor = row
-        begun = start if starts is None else start * starts[factor]
+        (slope, shift, back, start), (part, m) = row
+        begun = start if power is None else start * power[part, m]
         following = (slope * x + shift) * last + (begun - back * before)
         return (last, following), following
 
-    rows = jnp.asarray(all_of.steps, x.dtype), jnp.asarray(all_of.factors)
+    rows = jnp.asarray(all_of.steps, x.dtype), jnp.asarray(all_of.turns)
     return jax.lax.scan(step, (jnp.zeros_like(x), jnp.zeros_like(x)), rows)[1]
 
 
@@ -139,7 +141,7 @@ def radial_rows(tables: RadialTables, x: Float[Array, " points"]) -> Float[Array
     """Every p_j^m(x); entries past an order's count are zero."""
     steps = tables.steps()
     rows = steps.shape[0] * steps.shape[1]
-    all_of = Recurrences(steps.reshape(rows, 4), np.zeros(rows, np.int32), np.arange(0, rows, steps.shape[1]))
+    all_of = Recurrences(steps.reshape(rows, 4), np.zeros((rows, 2), np.int32), np.arange(0, rows, steps.shape[1]))
     return recurrence(all_of, x).reshape(*steps.shape[:2], x.size)
 
 
@@ -172,6 +174,19 @@ def inner(a: Float[Array, "rows channels points"], b: Float[Array, "rows points"
         return total + left * right[None], None
 
     return jax.lax.scan(step, jnp.zeros_like(a[0]), (a, b))[0]
+
+
+def matmul(a: Array, b: Array) -> Array:
+    """a @ b at full precision on every device."""
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
+def contracted(
+    matrix: Float[Array, "others channels rows"], a: Float[Array, "rows points"], b: Float[Array, "others points"]
+) -> Float[Array, "channels points"]:
+    """Σ_ij b_i M_ij a_j for every channel."""
+    found = matmul(matrix.reshape(-1, matrix.shape[2]), a)
+    return inner(found.reshape(*matrix.shape[:2], a.shape[1]), b)
 
 
 def multiply(a: tuple[Real, Real], b: tuple[Real, Real]) -> tuple[Real, Real]:

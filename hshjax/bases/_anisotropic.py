@@ -8,9 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import Recurrences, inner, powers, products, recurrence, recurrences
+from hshjax._special import Recurrences, contracted, powers, products, recurrence, recurrences
 from hshjax._typing import Array, Float
-from hshjax.bases._base import matmul
 from hshjax.bases._half_vector import AbstractHalfVectorBasis, circle_tables, circles, first_modes, integers
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
@@ -113,8 +112,7 @@ class AnisotropicHalfVectorBasis(AbstractHalfVectorBasis):
         weighted = jnp.asarray(n.value, wi.dtype)[..., None] * coefficients[None]
         matrix = jnp.zeros((len(difference), coefficients.shape[1], len(half)), wi.dtype)
         matrix = matrix.at[n.difference_at, :, n.half_at].add(weighted)
-        found = matmul(matrix.reshape(-1, len(half)), half)
-        return inner(found.reshape(*matrix.shape[:2], wi.shape[0]), difference).T
+        return contracted(matrix, half, difference).T
 
 
 class Disk(NamedTuple):
@@ -166,7 +164,7 @@ def _disk(polynomials: dict[tuple[int, int, bool], int]) -> Disk:
     order, j = order // step, (degree - order) // 2
     tables = circle_tables(order, j, step)
     parts, part = np.unique(np.stack([order, sine]), axis=1, return_inverse=True)
-    rows = recurrences(tables, [(m, sign * len(tables.counts) + m) for m, sign in parts.T.tolist()])
+    rows = recurrences(tables, list(zip(*parts.tolist(), strict=True)))
     return Disk(step, len(tables.counts), rows, rows.first[part] + j)
 
 
@@ -189,4 +187,4 @@ def _circle_rows(disk: Disk, warp: AbstractWarp, o: Array, vector: tuple[Array, 
         positive = ratio > 0
         root = jnp.where(positive, jnp.sqrt(jnp.where(positive, ratio, 1)), 0)
         azimuth = powers(square, (root * x, root * y), disk.orders)
-    return recurrence(disk.rows, 2 * o * ratio - 1, azimuth.reshape(2 * azimuth.shape[1], o.size))
+    return recurrence(disk.rows, 2 * o * ratio - 1, azimuth)

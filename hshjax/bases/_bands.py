@@ -62,23 +62,24 @@ def _times_x(tables: RadialTables, m: int) -> np.ndarray:
 
 def _values(tables: RadialTables, first: int, m: int) -> np.ndarray:
     """p_j^m by p_k^first: the recurrence of m, for coefficients instead of values."""
-    size, times_x = tables.counts[first], _times_x(tables, first)
+    size = tables.counts[first]
     found = np.zeros((size, size))
     found[0, 0] = tables.start[m] / tables.start[first]
-    for j in range(1, tables.counts[m]):
-        found[j] = tables.slope[m, j] * (found[j - 1] @ times_x) + tables.shift[m, j] * found[j - 1]
-        if j > 1:
-            found[j] -= tables.back[m, j] * found[j - 2]
+    _follow(tables, m, _times_x(tables, first), found, np.zeros_like(found))
     return found
 
 
 def _slopes(tables: RadialTables, m: int) -> np.ndarray:
     """d/dx p_j^m by p_k^m: the derivative of the recurrence."""
-    size, times_x = tables.counts[m], _times_x(tables, m)
+    size = tables.counts[m]
     found = np.zeros((size, size))
-    for j in range(1, size):
-        found[j] = tables.slope[m, j] * (found[j - 1] @ times_x) + tables.shift[m, j] * found[j - 1]
-        found[j, j - 1] += tables.slope[m, j]
+    _follow(tables, m, _times_x(tables, m), found, np.eye(size))
+    return found
+
+
+def _follow(tables: RadialTables, m: int, times_x: np.ndarray, found: np.ndarray, beside: np.ndarray) -> None:
+    """Rows of `found` after the first, by the recurrence of m, with slope_j times a row of `beside` in each."""
+    for j in range(1, tables.counts[m]):
+        found[j] = tables.slope[m, j] * (found[j - 1] @ times_x + beside[j - 1]) + tables.shift[m, j] * found[j - 1]
         if j > 1:
             found[j] -= tables.back[m, j] * found[j - 2]
-    return found

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from hshjax._special import RadialTables, blockwise
+from hshjax._special import RadialTables, blockwise, matmul
 from hshjax._typing import Array, Float, Real
 from hshjax.bases import _series, _written_out
 from hshjax.bases._rows import by_function, rows
@@ -189,8 +189,3 @@ def _(basis, primals, tangents):
 
 
 _sums = jax.jit(_differentiable_sums, static_argnums=0)
-
-
-def matmul(a: Array, b: Array) -> Array:
-    """a @ b at full precision on every device."""
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)

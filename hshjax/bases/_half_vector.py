@@ -11,7 +11,7 @@ import numpy as np
 from hshjax._special import (
     RadialTables,
     Recurrences,
-    inner,
+    contracted,
     jacobi_matrix,
     powers,
     products,
@@ -20,7 +20,6 @@ from hshjax._special import (
     recurrences,
 )
 from hshjax._typing import Array, Float
-from hshjax.bases._base import matmul
 from hshjax.bases._pairs import AbstractPairBasis
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
 
@@ -155,8 +154,7 @@ class HalfVectorBasis(AbstractHalfVectorBasis):
         weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
         matrix = jnp.zeros((len(right), coefficients.shape[1], len(left)), wi.dtype)
         matrix = matrix.at[n.right_at, :, n.left_at].set(weighted)
-        found = matmul(matrix.reshape(-1, len(left)), left)
-        return inner(found.reshape(*matrix.shape[:2], wi.shape[0]), right).T
+        return contracted(matrix, left, right).T
 
 
 class Layout(NamedTuple):
@@ -189,7 +187,7 @@ def function_layout(functions: tuple[Mode, ...]) -> Layout:
 
     turned, part = np.unique(np.stack([p, sine]), axis=1, return_inverse=True)
     orders, order = np.unique(p, return_inverse=True)
-    left = recurrences(half, [(q, sign * len(half.counts) + q) for q, sign in turned.T.tolist()])
+    left = recurrences(half, list(zip(*turned.tolist(), strict=True)))
     right = recurrences(difference, [(q, 0) for q in orders.tolist()])
     return Layout(p, j, k, sine, norm, half, difference, left, left.first[part] + j, right, right.first[order] + k)
 
@@ -207,8 +205,7 @@ def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array
     chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
     re, im = chart.turn
     azimuth = powers((re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
-    starts = azimuth.reshape(2 * azimuth.shape[1], wi.shape[0])
-    return recurrence(n.left, 2 * chart.u - 1, starts), recurrence(n.right, 2 * chart.v - 1)
+    return recurrence(n.left, 2 * chart.u - 1, azimuth), recurrence(n.right, 2 * chart.v - 1)
 
 
 class HalfChart(NamedTuple):

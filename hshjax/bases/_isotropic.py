@@ -146,7 +146,7 @@ def _factors(pairs: IsotropicBasis) -> tuple[Recurrences, Recurrences, np.ndarra
     tables = pairs.basis.tables()
     orders = len(tables.start)
     parts = [(m, int(sine)) for m in range(orders) for sine in _parts(pairs, m)]
-    of_i = recurrences(tables, [(m, part * orders + m) for m, part in parts])
+    of_i = recurrences(tables, parts)
     first = np.zeros((orders, 2), np.int32)
     first[tuple(np.transpose(parts))] = of_i.first
     return of_i, recurrences(tables, [(m, 0) for m in range(orders)]), first
@@ -157,8 +157,7 @@ def _both(pairs: IsotropicBasis, wi: Array, wo: Array) -> tuple[Array, Array]:
     of_i, of_o, _ = _factors(pairs)
     chart_i, chart_o = pairs.basis.chart(wi), pairs.basis.chart(wo)
     power = powers(*_difference_chart(chart_i, chart_o), len(of_o.first))
-    starts = power.reshape(2 * power.shape[1], wi.shape[0])
-    return recurrence(of_i, chart_i.x, starts), recurrence(of_o, chart_o.x)
+    return recurrence(of_i, chart_i.x, power), recurrence(of_o, chart_o.x)
 
 
 def _rows(pairs: IsotropicBasis, wi: Array, wo: Array) -> Array:
@@ -182,7 +181,6 @@ def _sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> A
             found.append(matmul(matrix, of_o[begin : begin + count]))
             at += matrix.size
     terms = jnp.concatenate(found).reshape(len(of_i), channels, wi.shape[0])
-
     return inner(terms, of_i).T
 
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import blockwise, multiply, recurrence
+from hshjax._special import blockwise, matmul, multiply, recurrence
 from hshjax._typing import Array, Float
 from hshjax.bases._bands import bands, first_orders
 from hshjax.bases._kernel import kernel
@@ -125,10 +125,7 @@ def _matrices(basis, coefficients: Float[Array, "modes channels"], *, slopes: bo
 def _amplitudes(basis, matrices: list[Array], w: Float[Array, "points 3"]) -> list[Array]:
     """Of every band, `(orders * 2 * channels, points)`, doubled with slopes."""
     radial = recurrence(first_orders(basis), basis.chart(w).x)
-    return [
-        jnp.matmul(matrix, radial[band.degrees], precision="highest")
-        for band, matrix in zip(bands(basis), matrices, strict=True)
-    ]
+    return [matmul(matrix, radial[band.degrees]) for band, matrix in zip(bands(basis), matrices, strict=True)]
 
 
 def _terms(basis, found: Sequence[Array], channels: int) -> list[Pair]:
