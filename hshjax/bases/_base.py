@@ -18,7 +18,7 @@ from hshjax._special import RadialTables, blockwise, matmul
 from hshjax._typing import Array, Float, Real
 from hshjax.bases import _series, _written_out
 from hshjax.bases._rows import by_function, rows
-from hshjax.geometry import as_directions, common_dtype
+from hshjax.geometry import as_directions, common_dtype, dot
 
 BLOCK = 1024
 """Points a block of rows that are summed at once."""
@@ -144,7 +144,7 @@ _rows = jax.jit(_differentiable_rows, static_argnums=0)
 
 
 def _short_rows(basis: AbstractBasis) -> bool:
-    return _written_out.short(basis.count, _written_out.AS_ROWS)
+    return basis.count <= _written_out.ROWS
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -160,8 +160,7 @@ def _(basis, primals, tangents):
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
-    limit = _written_out.FUNCTIONS * (2 if w.shape[0] <= _written_out.FEW else 1)
-    short = _written_out.short(basis.count, coefficients.shape[1], limit)
+    short = _written_out.short(basis.count, coefficients.shape[1])
     return (_written_out.sums if short else _series.sums)(basis, coefficients, w)
 
 
@@ -184,7 +183,7 @@ def _(basis, primals, tangents):
         tangent += blockwise(partial(product, d_coefficients), BLOCK, w)
     if not isinstance(d_w, SymbolicZero):
         gradient = _gradients(basis, coefficients, w)
-        tangent += jnp.sum(gradient * d_w[:, None, :], axis=-1)
+        tangent += dot(gradient, d_w[:, None, :])
     return value, tangent
 
 

@@ -20,12 +20,17 @@ from hshjax._special import (
     recurrences,
 )
 from hshjax._typing import Array, Float
+from hshjax.bases import _written_out
 from hshjax.bases._pairs import AbstractPairBasis
 from hshjax.bases._warp import AbstractWarp, IdentityWarp, LogWarp
+from hshjax.geometry import dot
 
 Mode = tuple[int, int, int]
 
 UNWARPED = IdentityWarp()
+
+FUNCTIONS = 200
+"""As many functions are written out at most: what products of matrices take as long to compile."""
 
 COST = (1 / 1.4, 0.5, 1.2)
 """Of a degree in the half angle, one in the difference angle, an azimuthal order: what functions are sorted by."""
@@ -147,6 +152,11 @@ class HalfVectorBasis(AbstractHalfVectorBasis):
         n = function_layout(self.functions)
         return products([(n.left_at, n.right_at)], [n.norm], *_factors(self, wi, wo)).T
 
+    def written_out_sums(self, coefficients, wi, wo):
+        if not _written_out.short(self.count, coefficients.shape[1], FUNCTIONS):
+            return None
+        return _written_out_sums(self, coefficients, wi, wo)
+
     def block_sums(self, coefficients, wi, wo):
         # A dense product, most of which is zeros, takes less time than a product for every azimuthal order.
         n = function_layout(self.functions)
@@ -208,6 +218,29 @@ def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array
     return recurrence(n.left, 2 * chart.u - 1, azimuth), recurrence(n.right, 2 * chart.v - 1)
 
 
+def _written_out_sums(basis: HalfVectorBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
+    """Σ_p Σ_k V_k Σ_j c_jk U_j times cosine or sine."""
+    n = function_layout(basis.functions)
+
+    def of_channel(coefficients, u, v, re, im):
+        one = _written_out.one_by_one(coefficients)
+
+        def series(p):
+            half, difference = (
+                _written_out.radial(tables, 2 * x - 1, p) for tables, x in ((n.half, u), (n.difference, v))
+            )
+            for sine in (0, 1):
+                here = np.flatnonzero((n.p == p) & (n.sine == sine)).tolist()
+                yield _written_out.bilinear(half, difference, ((n.j[t], n.k[t], one[t]) for t in here))
+
+        return _written_out.by_azimuth(series, (re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
+
+    # Once for all channels: a warp takes as long as the functions of a channel.
+    chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
+    weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
+    return _written_out.by_channel(of_channel, weighted, chart.u, chart.v, *chart.turn)
+
+
 class HalfChart(NamedTuple):
     """Of pairs: u = warp(1 - cos θ_h), v = difference_warp(1 - cos θ_d), and c = u v exp(2i φ_d) as (Re, Im)."""
 
@@ -243,14 +276,14 @@ class Circles(NamedTuple):
 def circles(wi: Float[Array, "pairs 3"], wo: Float[Array, "pairs 3"]) -> Circles:
     """Smooth wherever both directions lie above the horizon; a swap of them changes the sign of the difference."""
     total, half = wi + wo, (wi - wo) / 2
-    square = jnp.sum(total * total, axis=1)
+    square = dot(total, total)
     proper = square > 0  # wi = -wo, on the horizon, has no half vector
     length = jnp.sqrt(jnp.where(proper, square, 1))
     hx, hy, hz = (total[:, k] / length for k in range(3))
     hz = jnp.where(proper, hz, 1)
     cos_d = jnp.where(proper, length / 2, 0)
     # Without the cancellation of 1 - cos.
-    o_h, o_d = (hx * hx + hy * hy) / (1 + hz), jnp.sum(half * half, axis=1) / (1 + cos_d)
+    o_h, o_d = (hx * hx + hy * hy) / (1 + hz), dot(half, half) / (1 + cos_d)
     lift = half[:, 2] / (1 + hz)
     scale_h, scale_d = 1 / jnp.sqrt(1 + hz), 1 / jnp.sqrt(1 + cos_d)
     difference = scale_d * (half[:, 0] - lift * hx), scale_d * (half[:, 1] - lift * hy)

@@ -1,6 +1,6 @@
 """Reciprocal functions of an isotropic material: dependence on φ_i - φ_o only."""
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,11 +11,10 @@ from hshjax._special import Recurrences, inner, powers, products, recurrence, re
 from hshjax._typing import Array
 from hshjax.bases import _written_out
 from hshjax.bases._base import AbstractBasis, Chart, matmul
-from hshjax.bases._kernel import kernel
 from hshjax.bases._pairs import AbstractProductBasis, Entries
 
-PAIR_FUNCTIONS = 512
-"""As many coefficients are written out at most: three channels of order 8."""
+PAIR_FUNCTIONS = 300
+"""As many functions of pairs are written out at most, order 10: what products of matrices take as long to compile."""
 
 
 class IsotropicBasis(AbstractProductBasis):
@@ -84,11 +83,7 @@ class IsotropicBasis(AbstractProductBasis):
     def written_out_sums(self, coefficients, wi, wo):
         if not _written_out.short(self.count, coefficients.shape[1], PAIR_FUNCTIONS):
             return None
-        n = self.table()
-        # Twice where both indices are one: a matrix that is symmetric but for the sines holds that entry once.
-        norm = jnp.asarray(n.norm * (1 + (n.j == n.k)), coefficients.dtype)
-        found = kernel(partial(_written_out_sums, self), norm[:, None] * coefficients, wi, wo)
-        return jnp.stack(found, axis=-1)
+        return _written_out_sums(self, coefficients, wi, wo)
 
     def __hash__(self) -> int:
         return hash((type(self), self.basis, self.bilateral))
@@ -210,26 +205,28 @@ def _parts(pairs: IsotropicBasis, m: int) -> tuple[bool, ...]:
     return (False,) if pairs.bilateral or m == 0 else (False, True)
 
 
-def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> list[Array]:
-    """Of every channel `(pairs,)`: Σ_m Σ_k R_k(o) Σ_j A_jk R_j(i) times cosine or sine, from coefficients times N."""
+def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo: Array) -> Array:
+    """Σ_m Σ_k R_k(o) Σ_j A_jk R_j(i) times cosine or sine."""
     n, basis = pairs.table(), pairs.basis
-    chart_i, chart_o, orders = basis.chart(wi), basis.chart(wo), len(basis.tables().start)
+    tables = basis.tables()
 
-    def of_channel(coefficients, x_i, x_o, square, odd):
-        even, one, terms = _written_out.even_powers(square, orders), _written_out.one_by_one(coefficients), []
-        for m in range(orders):
-            i, o = (_written_out.radial(basis, x, m) for x in (x_i, x_o))
-            power = _written_out.times(even[m // 2], odd if m % 2 else None)
+    def of_channel(coefficients, wi, wo):
+        chart_i, chart_o, one = basis.chart(wi), basis.chart(wo), _written_out.one_by_one(coefficients)
+
+        def entries(m, sine):
+            for column in np.flatnonzero((n.m == m) & (n.sine == sine)).tolist():
+                j, k, value = int(n.j[column]), int(n.k[column]), one[column]
+                yield j, k, value
+                if j != k:
+                    yield k, j, -value if sine else value
+
+        def series(m):
+            i, o = (_written_out.radial(tables, chart.x, m) for chart in (chart_i, chart_o))
             for sine in (False, True):
-                inner: dict[int, list[Array]] = {}
-                for column in np.flatnonzero((n.m == m) & (n.sine == sine)):
-                    j, k, value = int(n.j[column]), int(n.k[column]), one[column]
-                    inner.setdefault(k, []).append(value * i[j])
-                    if j != k:
-                        inner.setdefault(j, []).append((-value if sine else value) * i[k])
-                if inner:
-                    series = _written_out.total(o[k] * _written_out.total(row) for k, row in inner.items())
-                    terms.append(series if power is None else series * power[int(sine)])
-        return _written_out.total(terms)
+                yield _written_out.bilinear(i, o, entries(m, sine))
 
-    return _written_out.by_channel(of_channel, coefficients, chart_i.x, chart_o.x, *_difference_chart(chart_i, chart_o))
+        return _written_out.by_azimuth(series, *_difference_chart(chart_i, chart_o), len(tables.start))
+
+    # Twice where both indices are one: a matrix that is symmetric but for the sines holds that entry once.
+    norm = jnp.asarray(n.norm * (1 + (n.j == n.k)), coefficients.dtype)
+    return _written_out.by_channel(of_channel, norm[:, None] * coefficients, wi, wo)

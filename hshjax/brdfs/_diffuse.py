@@ -7,6 +7,7 @@ from hshjax._fields import bounded
 from hshjax._typing import Array, Float, Real
 from hshjax.brdfs._base import AbstractBRDF, cosines, per_channel
 from hshjax.brdfs._parameters import check_parameters
+from hshjax.geometry import dot_xy
 
 
 class Lambert(AbstractBRDF):
@@ -54,7 +55,7 @@ class OrenNayar(AbstractBRDF):
         zi, zo, _ = cosines(wi, wo)
         albedo, variance = per_channel(self.albedo, wi), self.sigma**2
         # s = sin θ_i sin θ_o cos Δφ as a sum of products: wi·wo - zi zo would cancel near the pole.
-        s = jnp.sum(wi[..., :2] * wo[..., :2], axis=-1, keepdims=True)
+        s = dot_xy(wi, wo)[..., None]
         cosine_tangent = s / jnp.maximum(zi, zo)
         constant = 1 - variance / (2 * (variance + 0.33))
         slope = 0.45 * variance / (variance + 0.09)
@@ -86,7 +87,7 @@ def _polar(w: Float[Array, "*batch 3"]) -> tuple[Real, Real]:
 
     Only powers of θ from the second on are used, so that the change is below rounding; the root's derivatives are not.
     """
-    square = jnp.sum(w[..., :2] ** 2, axis=-1, keepdims=True)
+    square = dot_xy(w, w)[..., None]
     tilted = square > 1e-16
     sine = jnp.sqrt(jnp.where(tilted, square, 1))
     return jnp.where(tilted, jnp.arctan2(sine, w[..., 2:]), 0), jnp.where(tilted, sine, 0)

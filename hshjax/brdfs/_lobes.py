@@ -8,6 +8,7 @@ from hshjax._typing import Array, Float, Real
 from hshjax.brdfs._base import AbstractBRDF, cosines, per_channel
 from hshjax.brdfs._microfacet import beckmann
 from hshjax.brdfs._parameters import check_parameters
+from hshjax.geometry import dot
 
 
 class BlinnPhong(AbstractBRDF):
@@ -34,8 +35,8 @@ class BlinnPhong(AbstractBRDF):
     def formula(self, wi, wo):
         n, s = self.exponent, wi + wo
         # z_h^n by log1p of tan²θ_h: exact near the pole, where z_h rounds to 1.
-        tangent2 = jnp.sum((s[..., :2] / s[..., 2:]) ** 2, axis=-1, keepdims=True)
-        lobe = jnp.exp(-n / 2 * jnp.log1p(tangent2))
+        x2, y2 = jnp.split((s[..., :2] / s[..., 2:]) ** 2, 2, axis=-1)
+        lobe = jnp.exp(-n / 2 * jnp.log1p(x2 + y2))
         norm = (n + 2) * (n + 4) / (8 * jnp.pi * (jnp.exp2(-n / 2) + n))
         return per_channel(self.specular, wi) * norm * lobe
 
@@ -66,7 +67,7 @@ class Ward(AbstractBRDF):
     def formula(self, wi, wo):
         zi, zo, _ = cosines(wi, wo)
         s = wi + wo
-        length = jnp.sqrt(jnp.sum(s * s, axis=-1, keepdims=True))  # 2 h·wo
+        length = jnp.sqrt(dot(s, s))[..., None]  # 2 h·wo
         lobe = beckmann(s, self.alpha_x, self.alpha_y)
         if self.original:
             lobe = lobe * (s[..., 2:] / length) ** 4 / (4 * jnp.sqrt(zi * zo))

@@ -13,7 +13,7 @@ from hshjax._typing import Array, Float, Real
 from hshjax.brdfs._base import AbstractBRDF, cosines, per_channel
 from hshjax.brdfs._fresnel import AbstractFresnel, ConstantFresnel, DielectricFresnel
 from hshjax.brdfs._parameters import check_parameters
-from hshjax.geometry import half_vector
+from hshjax.geometry import dot, dot_xy, half_vector
 
 
 class CookTorrance(AbstractBRDF):
@@ -43,7 +43,7 @@ class CookTorrance(AbstractBRDF):
     def formula(self, wi, wo):
         zi, zo, _ = cosines(wi, wo)
         s = wi + wo
-        length = jnp.sqrt(jnp.sum(s * s, axis=-1, keepdims=True))
+        length = jnp.sqrt(dot(s, s))[..., None]
         fresnel = self.fresnel(length[..., 0] / 2)
         lobe = fresnel * beckmann(s, self.slope, self.slope) * v_cavities(s, length, zi, zo)
         return per_channel(self.diffuse, wi) / jnp.pi + per_channel(self.specular, wi) * lobe
@@ -76,7 +76,7 @@ class GGX(AbstractBRDF):
     def formula(self, wi, wo):
         zi, zo, _ = cosines(wi, wo)
         s = wi + wo
-        fresnel = self.fresnel(jnp.sqrt(jnp.sum(s * s, axis=-1)) / 2)
+        fresnel = self.fresnel(jnp.sqrt(dot(s, s)) / 2)
         ri, ro = (jnp.sqrt(self.roughness**2 + (1 - self.roughness**2) * z * z) for z in (zi, zo))
         if self.height_correlated:
             shadowing = 1 / (2 * (zo * ri + zi * ro))
@@ -119,9 +119,9 @@ class ABC(AbstractBRDF):
     def formula(self, wi, wo):
         zi, zo, _ = cosines(wi, wo)
         s = wi + wo
-        length = jnp.sqrt(jnp.sum(s * s, axis=-1, keepdims=True))
+        length = jnp.sqrt(dot(s, s))[..., None]
         h = s / length
-        o = jnp.sum(h[..., :2] ** 2, axis=-1, keepdims=True) / (1 + h[..., 2:])  # 1 - z_h without its cancellation
+        o = dot_xy(h, h)[..., None] / (1 + h[..., 2:])  # 1 - z_h without its cancellation
         tail = jnp.exp(-self.exponent * jnp.log1p(self.sharpness * o))
         lobe = self.fresnel(length[..., 0] / 2) * tail * v_cavities(s, length, zi, zo) * (4 / jnp.pi)
         return per_channel(self.diffuse, wi) / jnp.pi + per_channel(self.amplitude, wi) * lobe
@@ -144,11 +144,10 @@ def beckmann(h: Float[Array, "*batch 3"], mx: Float[Array, ""], my: Float[Array,
     exponent = tangent2[..., :1] / mx**2 + tangent2[..., 1:] / my**2
     seen = exponent < -0.8 * jnp.log(jnp.finfo(h.dtype).tiny)
     exponent = jnp.where(seen, exponent, 0)
-    cosine2 = 1 / (1 + jnp.where(seen, jnp.sum(tangent2, axis=-1, keepdims=True), 0))
+    cosine2 = 1 / (1 + jnp.where(seen, tangent2[..., :1] + tangent2[..., 1:], 0))
     return jnp.where(seen, jnp.exp(-exponent) / (jnp.pi * mx * my * cosine2**2), 0)
 
 
 def trowbridge_reitz(h: Float[Array, "*batch 3"], alpha: Float[Array, ""]) -> Real:
     """The GGX D [sr^-1] at unit half vectors, `(*batch, 1)`; Trowbridge & Reitz, JOSA 65(5), 1975."""
-    sine2 = jnp.sum(h[..., :2] ** 2, axis=-1, keepdims=True)
-    return alpha**2 / (jnp.pi * (alpha**2 * h[..., 2:] ** 2 + sine2) ** 2)
+    return alpha**2 / (jnp.pi * (alpha**2 * h[..., 2:] ** 2 + dot_xy(h, h)[..., None]) ** 2)

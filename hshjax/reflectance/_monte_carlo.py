@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.camera import AbstractCamera
-from hshjax.geometry import frame, upper
+from hshjax.geometry import frame, rotated, rotated_back, upper
 from hshjax.lighting import AbstractLighting, EnvironmentMap, HarmonicLight
 from hshjax.reflectance._given import given
 from hshjax.reflectance._parts import lights_of
@@ -92,8 +92,8 @@ def _estimate(brdf, lights, proposals, normals, view, key, steps) -> tuple[Array
 
 def _of_points(brdf, lights, proposals, normals, view, key, steps) -> tuple[Array, Array]:
     """Mean and variance over steps, each of one direction from every proposal."""
-    turn, exact = frame(normals), jax.lax.Precision.HIGHEST
-    wo = jnp.einsum("nij,nj->ni", turn, view, precision=exact)
+    turn = frame(normals)
+    wo = rotated(turn, view)
     seen = wo[:, 2:] > 0
     fixed = jax.lax.stop_gradient((wo, turn))
 
@@ -103,9 +103,9 @@ def _of_points(brdf, lights, proposals, normals, view, key, steps) -> tuple[Arra
         drawn = jnp.stack([p.draw(k, *fixed) for p, k in zip(proposals, keys, strict=True)], axis=1)
         density = sum(p.density(drawn, *fixed) for p in proposals) / len(proposals)
         # Directions stay in the world while normals turn: what they bring depends smoothly on the normals.
-        w = jax.lax.stop_gradient(jnp.einsum("nij,nki->nkj", fixed[1], drawn, precision=exact))
+        w = jax.lax.stop_gradient(rotated_back(fixed[1][:, None], drawn))
         weight = jax.lax.stop_gradient(jnp.where((density > 0) & seen, 1 / jnp.where(density > 0, density, 1), 0))
-        wi = jnp.einsum("nij,nkj->nki", turn, w, precision=exact)
+        wi = rotated(turn[:, None], w)
         radiance = sum(light(w) for light in lights)
         value = brdf(wi, jnp.broadcast_to(wo[:, None], wi.shape)) * upper(wi[..., 2:]) * radiance
         return jnp.mean(value * weight[..., None], axis=1)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float, Real
-from hshjax.geometry import dot, half_vector, upper
+from hshjax.geometry import dot, half_vector, rotated, rotated_back, upper
 from hshjax.lighting import EnvironmentMap
 
 
@@ -84,11 +84,11 @@ class MapProposal(AbstractProposal):
         above = edges[row] + down * (edges[row + 1] - edges[row])
         column = (index % width).astype(wo.dtype) + over
         w = self.environment.towards(jnp.arccos(above), 2 * np.pi * column / width)
-        return jnp.einsum("nij,nj->ni", turn, w, precision=jax.lax.Precision.HIGHEST)
+        return rotated(turn, w)
 
     def density(self, wi, wo, turn):
         height, width, _ = self.environment.radiance.shape
-        w = jnp.einsum("nij,nki->nkj", turn, wi, precision=jax.lax.Precision.HIGHEST)
+        w = rotated_back(turn[:, None], wi)
         theta, around = self.environment.polar(w)
         row = jnp.minimum((theta / np.pi * height).astype(int), height - 1)
         column = jnp.minimum((around / (2 * np.pi) * width).astype(int), width - 1)

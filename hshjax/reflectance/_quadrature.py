@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction
-from hshjax.geometry import frame, upper
+from hshjax.geometry import frame, rotated, upper
 from hshjax.lighting import AbstractLighting, Points
 from hshjax.reflectance._given import Given
 
@@ -39,8 +39,6 @@ def sum_over_emitters(
 
 def _radiance(brdf: PairFunction, lighting: AbstractLighting, points: Points, view: Float[Array, "n 3"]) -> Array:
     incident = lighting.incident(points)
-    turn, exact = points.frame, jax.lax.Precision.HIGHEST
-    shape = (turn.shape[0], *incident.direction.shape[1:])
-    wi = jnp.einsum("nij,nej->nei", turn, jnp.broadcast_to(incident.direction, shape), precision=exact)
-    wo = jnp.broadcast_to(jnp.einsum("nij,nj->ni", turn, view, precision=exact)[:, None], shape)
+    wi = rotated(points.frame[:, None], incident.direction)
+    wo = jnp.broadcast_to(rotated(points.frame, view)[:, None], wi.shape)
     return jnp.sum(brdf(wi, wo) * upper(wi[..., 2:]) * incident.irradiance, axis=1)

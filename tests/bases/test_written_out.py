@@ -8,7 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.bases import HSH, IsotropicBasis, Zernike, _base, _pairs, _rows, _series, _written_out
+from hshjax.bases import (
+    HSH,
+    HalfVectorBasis,
+    IsotropicBasis,
+    RationalWarp,
+    RootWarp,
+    Zernike,
+    _base,
+    _pairs,
+    _rows,
+    _series,
+    _written_out,
+    total_order,
+)
 from tests.bases.cases import EVERY_BASIS
 from tests.helpers import DTYPE, assert_close, directions
 
@@ -24,9 +37,15 @@ def close(found, expected):
     assert_close(found / scale, expected / scale)
 
 
+@pytest.fixture(params=[True, False], ids=["at once", "one by one"])
+def at_once(request, monkeypatch):
+    if not request.param:
+        monkeypatch.setattr(_written_out, "AT_ONCE", 0)
+
+
 @pytest.mark.parametrize("order", [0, 3])
 @pytest.mark.parametrize("name", EVERY_BASIS)
-def test_the_same_as_products_of_matrices(name, order):
+def test_the_same_as_products_of_matrices(name, order, at_once):
     basis, w = EVERY_BASIS[name](order), directions(0, POINTS, min_z=0.01)
     c = coefficients(basis.count)
     close(_written_out.sums(basis, c, w), _series.sums(basis, c, w))
@@ -41,25 +60,51 @@ def test_long_results_come_in_blocks(monkeypatch):
     close(_written_out.rows(basis, w), _rows.rows(basis, w))
 
 
-@pytest.mark.parametrize("bilateral", [True, False])
-@pytest.mark.parametrize("single", [HSH(3), Zernike(4)], ids=str)
-def test_pairs_are_the_same_as_their_rows(single, bilateral):
-    pairs, wi, wo = IsotropicBasis(single, bilateral), directions(0, POINTS), directions(1, POINTS)
+PAIRS = [
+    IsotropicBasis(HSH(3)),
+    IsotropicBasis(HSH(3), bilateral=False),
+    IsotropicBasis(Zernike(4), bilateral=False),
+    HalfVectorBasis(40),
+    HalfVectorBasis(total_order(40, bilateral=False), warp=RootWarp(), difference_warp=RationalWarp(jnp.asarray(0.1))),
+    HalfVectorBasis(((0, 0, 0),)),
+]
+
+
+@pytest.mark.parametrize("pairs", PAIRS, ids=lambda pairs: f"{type(pairs).__name__}-{pairs.count}")
+def test_pairs_are_the_same_as_their_rows(pairs, at_once):
+    wi, wo = directions(0, POINTS), directions(1, POINTS)
     c = coefficients(pairs.count)
     close(pairs.written_out_sums(c, wi, wo), _base.matmul(pairs(wi, wo), c))
 
 
+def program_of(basis, channels, points):
+    return str(jax.make_jaxpr(basis.evaluate)(coefficients(basis.count, channels), jnp.zeros((points, 3), DTYPE)))
+
+
 def test_which_are_short():
-    assert _written_out.short(HSH(5).count, 3)
-    assert not _written_out.short(HSH(6).count, 3)
+    assert _written_out.short(HSH(10).count, _written_out.CHANNELS)
+    assert not _written_out.short(HSH(11).count, 1)
+    assert not _written_out.short(HSH(8).count, _written_out.CHANNELS + 1)
+    assert _written_out.short(HSH(1).count, _written_out.AT_ONCE // 4)
     assert not _written_out.short(HSH(8).count, 0)
-    for points, written_out in ((_written_out.FEW, True), (_written_out.FEW + 1, False)):
-        program = str(jax.make_jaxpr(HSH(6).evaluate)(coefficients(49, 3), jnp.zeros((points, 3), DTYPE)))
-        assert ("dot_general" not in program) == written_out
-    pairs, w = IsotropicBasis(HSH(8)), jnp.zeros((1, 3), DTYPE)
-    shape = jax.eval_shape(pairs.written_out_sums, coefficients(pairs.count, 3), w, w)
-    assert shape.shape == (1, 3)
-    assert pairs.written_out_sums(coefficients(pairs.count, 4), w, w) is None
+    for order, written_out in ((10, True), (11, False)):
+        assert ("dot_general" not in program_of(HSH(order), 3, 5)) == written_out
+    w = jnp.zeros((1, 3), DTYPE)
+    for pairs, longer in (
+        (IsotropicBasis(HSH(10)), IsotropicBasis(HSH(11))),
+        (HalfVectorBasis(200), HalfVectorBasis(201)),
+    ):
+        shape = jax.eval_shape(pairs.written_out_sums, coefficients(pairs.count, 3), w, w)
+        assert shape.shape == (1, 3)
+        assert longer.written_out_sums(coefficients(longer.count, 3), w, w) is None
+
+
+def test_channels_share_a_kernel_beyond_some_coefficients():
+    loops = [
+        "scan[" in program_of(HSH(7), channels, points)
+        for channels, points in ((2, _written_out.FEW + 1), (3, _written_out.FEW), (3, _written_out.FEW + 1))
+    ]
+    assert loops == [False, False, True]
 
 
 def test_a_kernel_inside_loops_and_batches():
