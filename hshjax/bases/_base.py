@@ -12,11 +12,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
 
 from hshjax._special import RadialTables, blockwise, matmul
 from hshjax._typing import Array, Float, Real
 from hshjax.bases import _series, _written_out
+from hshjax.bases._merged import merged
+from hshjax.bases._operation import Zero, instantiated, operation
 from hshjax.bases._rows import by_function, rows
 from hshjax.geometry import as_directions, common_dtype, dot
 
@@ -147,31 +148,29 @@ def _short_rows(basis: AbstractBasis) -> bool:
     return basis.count <= _written_out.ROWS
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _gradients(basis: AbstractBasis, coefficients: Array, w: Array) -> Float[Array, "points channels 3"]:
-    return _series.gradients(basis, coefficients, w)
+def _slope_of_gradients(basis: AbstractBasis, primals, tangents) -> tuple[Array, Array]:
+    moved = jax.jvp(
+        partial(_series.differentiable_gradients, basis), tuple(primals), tuple(map(instantiated, tangents))
+    )
+    return _gradients(basis, *primals), moved[1]
 
 
-@_gradients.defjvp
-def _(basis, primals, tangents):
-    tangent = jax.jvp(partial(_series.differentiable_gradients, basis), primals, tangents)[1]
-    return _gradients(basis, *primals), tangent
+_gradients = operation("series_gradients", _series.gradients, _slope_of_gradients, merged)
+"""∂/∂w of `_sums`, `(points, channels, 3)`."""
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _differentiable_sums(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
+def _values(basis: AbstractBasis, coefficients: Array, w: Array) -> Array:
     short = _written_out.short(basis.count, coefficients.shape[1])
     return (_written_out.sums if short else _series.sums)(basis, coefficients, w)
 
 
-@partial(_differentiable_sums.defjvp, symbolic_zeros=True)
-def _(basis, primals, tangents):
+def _slope_of_values(basis: AbstractBasis, primals, tangents) -> tuple[Array, Array]:
     """dΣ = Y dc + (∂Σ/∂w) dw: two linear maps, whose transposes cost one product each, blocked GEMM and contraction."""
     coefficients, w = primals
     d_coefficients, d_w = tangents
-    value = _differentiable_sums(basis, coefficients, w)
+    value = _series_sums(basis, coefficients, w)
     tangent = jnp.zeros_like(value)
-    if not isinstance(d_coefficients, SymbolicZero):
+    if not isinstance(d_coefficients, Zero):
 
         @jax.checkpoint  # recomputed, not stored, for the transpose: rows would be the largest array of the program
         def product(d, w):
@@ -181,10 +180,13 @@ def _(basis, primals, tangents):
             return matmul(functions.T, d[jnp.asarray(columns)])
 
         tangent += blockwise(partial(product, d_coefficients), BLOCK, w)
-    if not isinstance(d_w, SymbolicZero):
+    if not isinstance(d_w, Zero):
         gradient = _gradients(basis, coefficients, w)
         tangent += dot(gradient, d_w[:, None, :])
     return value, tangent
 
 
-_sums = jax.jit(_differentiable_sums, static_argnums=0)
+_series_sums = operation("series_sums", _values, _slope_of_values, merged)
+"""Σ_k c_k y_k(w), `(points, channels)`."""
+
+_sums = jax.jit(_series_sums, static_argnums=0)

@@ -1,7 +1,8 @@
 """One kernel for a piece of straight-line arithmetic, also within a loop."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import reduce
+from operator import add
 from typing import Any
 
 import jax
@@ -20,7 +21,12 @@ def kernel(function: Callable, *arrays: Any):
     def branch(*arrays):
         true = jax.lax.optimization_barrier(jnp.ones((), bool))
         shape = jax.eval_shape(function, *arrays)
-        zeros = partial(jax.tree.map, lambda one: jnp.zeros(one.shape, one.dtype), shape)
-        return jax.lax.cond(true, function, lambda *_: zeros(), *arrays)
+
+        def never(*arrays):
+            # Both branches have to vary over the same axes of a mesh: in `jax.shard_map` a plain 0 varies over none.
+            zero = reduce(add, [jnp.sum(jnp.ravel(a)[:0]) for a in jax.tree.leaves(arrays)])
+            return jax.tree.map(lambda one: jnp.full(one.shape, zero.astype(one.dtype)), shape)
+
+        return jax.lax.cond(true, function, never, *arrays)
 
     return jax.lax.platform_dependent(*arrays, cpu=branch, default=function)

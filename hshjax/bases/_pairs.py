@@ -2,18 +2,18 @@
 
 import abc
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_derivatives import SymbolicZero
 
 from hshjax._special import blockwise
 from hshjax._typing import Array, Float, Real
 from hshjax.bases._base import AbstractBasis, check_modes, matmul
 from hshjax.bases._merged import merged_pairs
+from hshjax.bases._operation import Zero, instantiated, operation
 from hshjax.geometry import as_directions, common_dtype
 
 PAIR_BLOCK = 512
@@ -113,47 +113,49 @@ def _block_sums(static: AbstractPairBasis, arrays: AbstractPairBasis, coefficien
     return blockwise(jax.checkpoint(lambda i, o: pairs.block_sums(coefficients, i, o)), PAIR_BLOCK, wi, wo)
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _differentiable_sums(
-    static: AbstractPairBasis, arrays: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array
-):
-    found = eqx.combine(static, arrays).written_out_sums(coefficients, wi, wo)
-    if found is not None:
-        return found
+class Parts(NamedTuple):
+    """What is static of a sum: of the basis, and how its arrays lie among those of the call. Hashable."""
 
-    def sums(shared, wi, wo):
-        arrays, coefficients = shared
-        return _block_sums(static, arrays, coefficients, wi, wo)
-
-    return merged_pairs(sums)((arrays, coefficients), wi, wo)
+    basis: AbstractPairBasis
+    tree: Any
 
 
-@partial(_differentiable_sums.defjvp, symbolic_zeros=True)
-def _(static, primals, tangents):
+def _values(static: Parts, *arrays: Array) -> Array:
+    basis, coefficients, wi, wo = jax.tree.unflatten(static.tree, arrays)
+    found = eqx.combine(static.basis, basis).written_out_sums(coefficients, wi, wo)
+    return _block_sums(static.basis, basis, coefficients, wi, wo) if found is None else found
+
+
+def _slope_of_values(static: Parts, primals, tangents) -> tuple[Array, Array]:
     """By coefficients, rows times dc: the columns of a Jacobian share the rows, and its transpose is one product."""
-    arrays, coefficients, wi, wo = primals
-    d_arrays, d_coefficients, *d_directions = tangents
-    d_others = d_arrays, *d_directions
-
-    def zero(tangent):
-        return isinstance(tangent, SymbolicZero)
-
-    if all(map(zero, jax.tree.leaves(d_others, is_leaf=zero))):
-        value = _differentiable_sums(static, arrays, coefficients, wi, wo)
+    arrays, coefficients, wi, wo = jax.tree.unflatten(static.tree, primals)
+    *d_arrays, d_coefficients, d_wi, d_wo = tangents
+    if all(isinstance(d, Zero) for d in (*d_arrays, d_wi, d_wo)):
+        value = _pair_sums(static, *primals)
         tangent = jnp.zeros_like(value)
     else:
-        d_others = jax.tree.map(lambda d: jnp.zeros(d.shape, d.dtype) if zero(d) else d, d_others, is_leaf=zero)
+        d_others = jax.tree.unflatten(static.tree, [instantiated(d) for d in tangents])
         value, tangent = jax.jvp(
-            lambda arrays, wi, wo: _block_sums(static, arrays, coefficients, wi, wo), (arrays, wi, wo), d_others
+            lambda arrays, wi, wo: _block_sums(static.basis, arrays, coefficients, wi, wo),
+            (arrays, wi, wo),
+            (d_others[0], *d_others[2:]),
         )
-    if not zero(d_coefficients):
-        pairs = eqx.combine(static, arrays)
+    if not isinstance(d_coefficients, Zero):
+        pairs = eqx.combine(static.basis, arrays)
         product = jax.checkpoint(lambda d, i, o: matmul(pairs.block_rows(i, o), d))
         tangent += blockwise(partial(product, d_coefficients), PAIR_BLOCK, wi, wo)
     return value, tangent
 
 
-_sums = jax.jit(_differentiable_sums, static_argnums=0)
+_pair_sums = operation("pair_sums", _values, _slope_of_values, merged_pairs)
+
+
+def _all_sums(static: AbstractPairBasis, arrays: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array):
+    leaves, tree = jax.tree.flatten((arrays, coefficients, wi, wo))
+    return _pair_sums(Parts(static, tree), *leaves)
+
+
+_sums = jax.jit(_all_sums, static_argnums=0)
 
 
 class AbstractProductBasis(AbstractPairBasis):

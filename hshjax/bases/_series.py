@@ -18,7 +18,6 @@ from hshjax._special import blockwise, matmul, multiply, recurrence
 from hshjax._typing import Array, Float
 from hshjax.bases._bands import bands, first_orders
 from hshjax.bases._kernel import kernel
-from hshjax.bases._merged import merged
 
 POINTS = 1024
 """Points a block at most: amplitudes of three channels of order 16 then stay in the second-level cache."""
@@ -31,16 +30,6 @@ Pair = tuple[Array, Array]
 
 def sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
     """Σ_k c_k y_k(w), `(points, channels)`. Values only."""
-    return merged(partial(_sums, basis))(coefficients, w)
-
-
-def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
-    """∂/∂w of the sums, `(points, channels, 3)`: by x, s² and s, then those of the chart. Values only:
-    see `differentiable_gradients`."""
-    return merged(partial(_gradients, basis))(coefficients, w)
-
-
-def _sums(basis, coefficients: Array, w: Array) -> Array:
     channels, matrix = coefficients.shape[1], _matrices(basis, coefficients)
 
     def combined(w, *found):
@@ -54,7 +43,9 @@ def _sums(basis, coefficients: Array, w: Array) -> Array:
     return blockwise(block, _block(basis, channels), w)
 
 
-def _gradients(basis, coefficients: Array, w: Array) -> Array:
+def gradients(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "points 3"]) -> Array:
+    """∂/∂w of the sums, `(points, channels, 3)`: by x, s² and s, then those of the chart. Values only:
+    see `differentiable_gradients`."""
     channels, matrix = coefficients.shape[1], _matrices(basis, coefficients, slopes=True)
 
     def parts(w, *found):

@@ -2,6 +2,7 @@
 
 import re
 import time
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -31,11 +32,17 @@ def unchecked():
     jaxtyping.config.update("jaxtyping_disable", False)
 
 
+OPERATIONS = "series_sums", "series_gradients", "pair_sums"
+
+
 def equations(jaxpr) -> list:
-    """Every equation of a jaxpr and of those inside it."""
+    """Every equation of a jaxpr and of those inside it, and inside what `_operation.py` makes primitives of."""
     found = []
     for equation in jaxpr.eqns:
         found.append(equation)
+        if equation.primitive.name in OPERATIONS:
+            given = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars]
+            found += equations(jax.make_jaxpr(partial(equation.primitive.impl, **equation.params))(*given).jaxpr)
         for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda p: hasattr(p, "eqns")):
             if hasattr(inner, "eqns"):
                 found += equations(inner)

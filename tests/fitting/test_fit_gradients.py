@@ -77,8 +77,9 @@ def check(fitted):
     """d fitted(t) / dt at 0.1 by the theorem against differences; without a NaN on the way."""
     with jax.debug_nans(True):
         fitted = jax.jit(fitted)
-        # The fits converge to 1e-12, a step of 1e-4 leaves 1e-8 of that and of the third derivative.
-        check_grads(fitted, (0.1,), order=1, modes=("fwd", "rev"), eps=1e-4, atol=1e-5, rtol=1e-5)
+        # A loss that is not 0 is flat to rounding within 3e-9 of where it ends: a step of 1e-3 leaves 3e-6 of that, and
+        # 2e-6 of the third derivative.
+        check_grads(fitted, (0.1,), order=1, modes=("fwd", "rev"), eps=1e-3, atol=1e-5, rtol=1e-5)
 
 
 def summary(model):
