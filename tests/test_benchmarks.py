@@ -18,7 +18,7 @@ from tests.helpers import slow_unless
 
 ROOT = Path(__file__).parents[1]
 NAMES = [one.name for one in pkgutil.iter_modules(benchmarks.__path__) if not one.name.startswith("_")]
-LONG = ("half_vector", "merl_project", "multi_start", "reflectance", "stereo_pixels", "table_lookup")
+LONG = ("half_vector", "lobes", "merl_project", "multi_start", "reflectance", "stereo_pixels", "table_lookup")
 
 
 @pytest.mark.parametrize("name", [slow_unless(name not in LONG, name, id=name) for name in NAMES])

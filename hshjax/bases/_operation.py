@@ -58,7 +58,7 @@ def operation(
         moving = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, Zero)]
 
         def item(primals, given):
-            all_of = [Zero.from_primal_value(primal) for primal in primals]
+            all_of: list[Any] = [Zero(jax.typeof(primal)) for primal in primals]  # floats are their own tangents
             for k, tangent in zip(moving, given, strict=True):
                 all_of[k] = tangent
             return jvp(primals, all_of, static=static, axes=axes[1:])

@@ -106,3 +106,18 @@ def test_batches_of_batches(basis):
         tangents(items, *(jnp.stack([each] * 3) for each in w)),
         jnp.stack([jax.jvp(partial(evaluate, item), w, w)[1] for item in items]),
     )
+
+    # The other way round: derivatives of what has been taken side by side, also where only one of both moves.
+    many = tuple(jnp.stack([each] * 3) for each in w)
+
+    def total(items, *w):
+        return jnp.sum(jnp.sin(jax.vmap(evaluate)(items, *w)))
+
+    assert_close(jax.grad(total)(items, *many), together)
+    moved = jax.jvp(lambda *w: jax.vmap(evaluate)(items, *w), many, many)[1]
+    assert_close(moved, jnp.stack([jax.jvp(partial(evaluate, item), w, w)[1] for item in items]))
+    twice = jax.vmap(jax.vmap(evaluate))  # both differ in both batches
+    deep = jnp.stack([items, items + 1])
+    deeper = tuple(jnp.stack([each, each]) for each in many)
+    found = jax.grad(lambda deep: jnp.sum(jnp.sin(twice(deep, *deeper))))(deep)
+    assert_close(found[0], together)
