@@ -4,6 +4,9 @@ Local frame: the normal is +z. Directions are unit vectors that point away from 
 appear only at the edges (readers, plots), in radians, θ from the normal and φ from +x towards +y.
 """
 
+from functools import reduce
+from operator import add
+
 import jax
 import jax.numpy as jnp
 
@@ -78,11 +81,12 @@ def tilted(cos, sin, x, y, z):
     return cos * x + sin * z, y, cos * z - sin * x
 
 
-def dot(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, " *batch"]:
+def dot(a: Float[Array, "... components"], b: Float[Array, "... components"]) -> Float[Array, " *batch"]:
     """Scalar product along the last axis; the others broadcast."""
     # Written out: XLA's compiler for processors makes a loop without vectors of a sum over a short axis, of 16 times
     # the time, and no longer fuses what comes before it.
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+    of_a, of_b = jnp.unstack(a, axis=-1), jnp.unstack(b, axis=-1)
+    return reduce(add, [x * y for x, y in zip(of_a, of_b, strict=True)])
 
 
 def dot_xy(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, " *batch"]:

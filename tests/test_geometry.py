@@ -5,7 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from hshjax.geometry import angles, direction, dot, frame, half_vector, normalized, to_disk, to_sphere, upper
+from hshjax.geometry import (
+    angles,
+    direction,
+    dot,
+    frame,
+    half_vector,
+    normalized,
+    rotated,
+    rotated_back,
+    to_disk,
+    to_sphere,
+    upper,
+)
 from tests.helpers import DTYPE, X64, assert_close, directions
 
 
@@ -83,3 +95,21 @@ def test_frame_is_a_rotation_that_takes_the_normal_to_z():
     assert_close(jnp.einsum("nij,nj->ni", rotation, normals), np.broadcast_to([0, 0, 1], normals.shape))
     assert_close(frame(array([0, 0, 1])), np.eye(3))
     assert bool(jnp.all(jnp.isfinite(jax.vmap(jax.jacfwd(frame))(normals))))
+
+
+def test_dot_takes_all_components_there_are():
+    """An array that indexes past its end would be clamped, not told."""
+    a, b = np.random.default_rng(0).normal(size=(2, 5, 4))
+    for length in (2, 3, 4):
+        assert_close(
+            dot(jnp.asarray(a[:, :length]), jnp.asarray(b[:, :length])),
+            np.sum(a * b, axis=-1, where=np.arange(4) < length),
+        )
+
+
+def test_rotated_is_a_product_and_back():
+    turn, w = frame(directions(0, 6)), directions(1, 6)
+    assert_close(rotated(turn, w), np.einsum("nij,nj->ni", turn, w))
+    assert_close(rotated_back(turn, rotated(turn, w)), w)
+    many = rotated(turn[:, None], jnp.stack([w, w], axis=1))
+    assert_close(many, np.einsum("nij,nej->nei", turn, np.stack([w, w], axis=1)))

@@ -131,6 +131,7 @@ def check_modes(basis, coefficients: Array) -> None:
 # Jitted here: compiled once for a basis and a shape, also where a user calls without jit.
 
 
+# No operation: where a loop drops this rule, the program that is left has the same derivatives and more to compile.
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _differentiable_rows(basis: AbstractBasis, w: Float[Array, "points 3"]) -> Float[Array, "points modes"]:
     return (_written_out.rows if _short_rows(basis) else rows)(basis, w)
@@ -149,13 +150,12 @@ def _short_rows(basis: AbstractBasis) -> bool:
 
 
 def _slope_of_gradients(basis: AbstractBasis, primals, tangents) -> tuple[Array, Array]:
-    moved = jax.jvp(
-        partial(_series.differentiable_gradients, basis), tuple(primals), tuple(map(instantiated, tangents))
-    )
-    return _gradients(basis, *primals), moved[1]
+    differentiable = partial(_series.differentiable_gradients, basis)
+    _, tangent = jax.jvp(differentiable, tuple(primals), tuple(map(instantiated, tangents)))
+    return _gradients(basis, *primals), tangent  # not the value beside the tangent, which is slower
 
 
-_gradients = operation("series_gradients", _series.gradients, _slope_of_gradients, merged)
+_gradients = operation("series_gradients", _series.gradients, _slope_of_gradients, merged, linear=-2)
 """∂/∂w of `_sums`, `(points, channels, 3)`."""
 
 
@@ -186,7 +186,7 @@ def _slope_of_values(basis: AbstractBasis, primals, tangents) -> tuple[Array, Ar
     return value, tangent
 
 
-_series_sums = operation("series_sums", _values, _slope_of_values, merged)
+_series_sums = operation("series_sums", _values, _slope_of_values, merged, linear=-2)
 """Σ_k c_k y_k(w), `(points, channels)`."""
 
 _sums = jax.jit(_series_sums, static_argnums=0)

@@ -11,6 +11,7 @@ import numpy as np
 from hshjax._special import (
     RadialTables,
     Recurrences,
+    blockwise,
     contracted,
     jacobi_matrix,
     powers,
@@ -235,10 +236,13 @@ def _written_out_sums(basis: HalfVectorBasis, coefficients: Array, wi: Array, wo
 
         return _written_out.by_azimuth(series, (re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
 
-    # Once for all channels: a warp takes as long as the functions of a channel.
-    chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
     weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
-    return _written_out.by_channel(of_channel, weighted, chart.u, chart.v, *chart.turn)
+
+    def block(wi, wo):  # the chart once for all channels: a warp takes as long as the functions of one
+        chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
+        return _written_out.by_channel(of_channel, weighted, chart.u, chart.v, *chart.turn)
+
+    return blockwise(block, _written_out.POINTS, wi, wo)
 
 
 class HalfChart(NamedTuple):

@@ -1,13 +1,13 @@
 """Reciprocal functions of an isotropic material: dependence on φ_i - φ_o only."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from hshjax._special import Recurrences, inner, powers, products, recurrence, recurrences
+from hshjax._special import Recurrences, blockwise, inner, powers, products, recurrence, recurrences
 from hshjax._typing import Array
 from hshjax.bases import _written_out
 from hshjax.bases._base import AbstractBasis, Chart, matmul
@@ -229,4 +229,5 @@ def _written_out_sums(pairs: IsotropicBasis, coefficients: Array, wi: Array, wo:
 
     # Twice where both indices are one: a matrix that is symmetric but for the sines holds that entry once.
     norm = jnp.asarray(n.norm * (1 + (n.j == n.k)), coefficients.dtype)
-    return _written_out.by_channel(of_channel, norm[:, None] * coefficients, wi, wo)
+    block = partial(_written_out.by_channel, of_channel, norm[:, None] * coefficients)
+    return blockwise(block, _written_out.POINTS, wi, wo)

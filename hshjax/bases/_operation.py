@@ -32,10 +32,13 @@ def operation(
     function: Callable[..., Array],
     derivative: Callable[[Any, Sequence[Array], Sequence[Any]], tuple[Array, Array]],
     merged: Callable[..., Array | None],
+    *,
+    linear: int,
 ) -> Callable[..., Array]:
     """`function(static, *arrays)`, an array, with these rules; `static` is hashable.
 
     - `derivative(static, primals, tangents)` is (value, tangent); some tangents may be `Zero`, not all.
+    - `linear`: the argument, counted from the end, that it is linear in: its transpose is that of the tangent.
     - `merged(call, mapped, *arrays)` is the value of a batch by `call(*arrays)` of more points, or channels, the batch
       leading in what is `mapped` and in the result; None if it cannot be that, and is taken side by side.
     """
@@ -55,6 +58,7 @@ def operation(
     def jvp(primals, tangents, *, static, axes):
         if not axes:
             return derivative(static, primals, tangents)
+        # A level of axes at a time, the outermost first; a tangent lies as what it is the tangent of.
         moving = [k for k, tangent in enumerate(tangents) if not isinstance(tangent, Zero)]
 
         def item(primals, given):
@@ -65,6 +69,22 @@ def operation(
 
         level = list(axes[0])
         return jax.vmap(item, (level, [level[k] for k in moving]))(list(primals), [tangents[k] for k in moving])
+
+    def transpose(cotangent, *arrays, static, axes):
+        place = len(arrays) + linear
+        if [k for k, array in enumerate(arrays) if ad.is_undefined_primal(array)] != [place]:
+            raise TypeError(f"{name} is linear in the coefficients of its functions, and in nothing else")
+        like = arrays[place].aval
+        fixed = [*arrays[:place], jnp.zeros(like.shape, like.dtype), *arrays[place + 1 :]]
+
+        def along(moved):
+            tangents: list[Any] = [Zero(jax.typeof(array)) for array in fixed]
+            tangents[place] = moved
+            return jvp(fixed, tangents, static=static, axes=axes)[1]
+
+        found: list[Any] = [None] * len(arrays)
+        (found[place],) = jax.linear_transpose(along, fixed[place])(instantiated(cotangent))
+        return found
 
     def batch(arrays, axis, *, static, axes):
         mapped = tuple(k is not None for k in axis)
@@ -82,5 +102,6 @@ def operation(
     primitive.def_abstract_eval(abstract)
     mlir.register_lowering(primitive, mlir.lower_fun(whole, multiple_results=False))
     ad.primitive_jvps[primitive] = jvp
+    ad.primitive_transposes[primitive] = transpose
     batching.primitive_batchers[primitive] = batch
     return call

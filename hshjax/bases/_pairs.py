@@ -147,7 +147,7 @@ def _slope_of_values(static: Parts, primals, tangents) -> tuple[Array, Array]:
     return value, tangent
 
 
-_pair_sums = operation("pair_sums", _values, _slope_of_values, merged_pairs)
+_pair_sums = operation("pair_sums", _values, _slope_of_values, merged_pairs, linear=-3)
 
 
 def _all_sums(static: AbstractPairBasis, arrays: AbstractPairBasis, coefficients: Array, wi: Array, wo: Array):
@@ -300,7 +300,7 @@ def bilinear(
     return jnp.sum(product * basis(wo)[:, :, None], axis=1)
 
 
-def flat_pairs(wi: Array, wo: Array) -> tuple[Float[Array, "pairs 3"], Float[Array, "pairs 3"], tuple[int, ...]]:
+def flat_pairs(wi: Array, wo: Array) -> tuple[Float[Array, "pairs 3"], Float[Array, "pairs 3"], tuple]:
     """Both directions broadcast against each other and flattened, and the batch shape."""
     wi, wo = as_directions(wi, wo)
     shape = jnp.broadcast_shapes(wi.shape, wo.shape)

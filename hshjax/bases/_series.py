@@ -134,7 +134,7 @@ def _chart(basis, w: Float[Array, "points 3"]):
 
 def _along_axes(basis, w: Float[Array, "points 3"], by_x: Array, by_square: Pair, by_odd: Pair) -> list[Array]:
     """∂/∂x, ∂/∂y, ∂/∂z, `(channels, points)` each, from derivatives by what the chart holds."""
-    axes = [jnp.broadcast_to(axis, w.shape) for axis in jnp.eye(3, dtype=w.dtype)]
+    axes = [jnp.zeros_like(w).at[:, k].set(1) for k in range(3)]  # varying as w does, in `jax.shard_map`
     moved = [jax.jvp(lambda w: _chart(basis, w), (w,), (axis,))[1] for axis in axes]
     return [by_x * to.x + multiply(by_square, to.square)[0] + multiply(by_odd, to.odd)[0] for to in moved]
 

@@ -31,6 +31,9 @@ FEW = 1024
 ROWS = 42
 """Functions of design rows that are written out at most: a kernel for `COLUMNS` of them each has to be compiled."""
 
+POINTS = 2**16
+"""Points a block: what every channel is written to before the transposition, and charts of pairs, stay below 2 MB."""
+
 COLUMNS = 4
 """Columns of design rows that one kernel writes: a vector register."""
 
@@ -47,7 +50,7 @@ Pair = tuple[Array, Array]
 
 
 def short(functions: int, channels: int, limit: int = FUNCTIONS) -> bool:
-    """Whether a series of so many functions is to be written out."""
+    """Whether a series of so many functions is to be written out: a kernel of one channel has `limit` at most."""
     return 0 < functions * channels <= AT_ONCE or (functions <= limit and 0 < channels <= CHANNELS)
 
 
@@ -112,22 +115,22 @@ def sums(basis, coefficients: Float[Array, "modes channels"], w: Float[Array, "p
 
         return by_azimuth(series, chart.square, chart.odd, len(tables.start))
 
-    return by_channel(of_channel, coefficients, w)
+    return blockwise(partial(by_channel, of_channel, coefficients), POINTS, w)
 
 
 def by_channel(
-    function: Callable, coefficients: Float[Array, "modes channels"], *w: Float[Array, "points ..."]
+    function: Callable, coefficients: Float[Array, "modes channels"], *arrays: Float[Array, "points ..."]
 ) -> Float[Array, "points channels"]:
-    """`function(coefficients, *w)`, `(points,)`, of every channel: traced once, and compiled once where there is more
-    to compile than `AT_ONCE`."""
-    once = jax.jit(function)
-    if coefficients.size <= AT_ONCE * (2 if len(w[0]) <= FEW else 1):
+    """`function(coefficients, *arrays)`, `(points,)`, of every channel: traced once, and compiled once where there is
+    more to compile than `AT_ONCE`."""
+    once, size, points = jax.jit(function), coefficients.size, arrays[0].shape[0]
+    if size <= AT_ONCE or (size <= 2 * AT_ONCE and points <= FEW):
 
-        def of_all(coefficients, *w):
-            return jnp.stack([once(channel, *w) for channel in coefficients.T], axis=-1)
+        def of_all(coefficients, *arrays):
+            return jnp.stack([once(channel, *arrays) for channel in coefficients.T], axis=-1)
 
-        return kernel(of_all, coefficients, *w)
-    return jax.lax.map(lambda channel: kernel(once, channel, *w), coefficients.T).T
+        return kernel(of_all, coefficients, *arrays)
+    return jax.lax.map(lambda channel: kernel(once, channel, *arrays), coefficients.T).T
 
 
 def one_by_one(coefficients: Float[Array, " modes"]) -> list[Array]:

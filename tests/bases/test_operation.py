@@ -50,8 +50,8 @@ def test_inside_shard_map(basis):
 
     def everything(c, *w):
         value = basis.evaluate(c, *w)
-        slopes = jax.grad(lambda w: jnp.sum(jnp.sin(basis.evaluate(c, *w))))(w)
-        return value, slopes, basis(*w)
+        slope = jax.grad(lambda w: jnp.sum(jnp.sin(basis.evaluate(c, *w))))
+        return value, jax.jvp(slope, (w,), (w,)), basis(*w)
 
     inside = jax.shard_map(everything, mesh=mesh, in_specs=(PartitionSpec(), *[over] * len(w)), out_specs=over)
     for found, expected in zip(
@@ -121,3 +121,29 @@ def test_batches_of_batches(basis):
     deeper = tuple(jnp.stack([each, each]) for each in many)
     found = jax.grad(lambda deep: jnp.sum(jnp.sin(twice(deep, *deeper))))(deep)
     assert_close(found[0], together)
+
+
+@pytest.mark.parametrize("basis", [HSH(2), HSH(11), IsotropicBasis(HSH(1)), HalfVectorBasis(9)], ids=name)
+def test_sums_transpose_as_what_they_are_linear_in(basis):
+    c, w = coefficients(basis), arguments(basis)
+
+    def evaluate(c):
+        return basis.evaluate(c, *w)
+
+    weight = evaluate(c)
+    (found,) = jax.linear_transpose(evaluate, c)(weight)
+    assert_close(found, jax.grad(lambda c: jnp.vdot(weight, evaluate(c), precision="highest"))(c))
+    items = jnp.stack([c, c + 1])
+    (found,) = jax.linear_transpose(jax.vmap(evaluate), items)(jax.vmap(evaluate)(items))
+    assert found.shape == items.shape
+    with pytest.raises(TypeError, match="linear in the coefficients"):
+        jax.linear_transpose(lambda w: basis.evaluate(c, *w), w)(weight)
+
+
+@pytest.mark.parametrize("basis", [HSH(2), IsotropicBasis(HSH(1)), HalfVectorBasis(9)], ids=name)
+def test_exported_for_any_number_of_points(basis):
+    (points,) = jax.export.symbolic_shape("n", constraints=["n >= 1", "n <= 300"])
+    c, w = coefficients(basis), arguments(basis)
+    like = [jax.ShapeDtypeStruct((points, 3), DTYPE)] * len(w)
+    program = jax.export.export(jax.jit(lambda *w: basis.evaluate(c, *w)))(*like)
+    assert_close(program.call(*w), basis.evaluate(c, *w))
