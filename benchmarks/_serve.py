@@ -39,6 +39,13 @@ def claim(cores: list[int]) -> None:
         os.sched_setaffinity(0, cores)
 
 
+def available() -> list[int]:
+    """Cores that this process may use, ascending."""
+    if hasattr(os, "sched_getaffinity"):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
 def cores_of(argument: str) -> list[int]:
     return [int(core) for core in argument.split(",")]
 

@@ -10,7 +10,6 @@ little; with more, time on the wall. Prints a Markdown table, and writes it to `
 """
 
 import argparse
-import os
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -23,6 +22,7 @@ import numpy as np
 from benchmarks import _matrix, _report, _workers
 from benchmarks._limits import LIMITS
 from benchmarks._matrix import Case
+from benchmarks._serve import available
 from benchmarks._workers import Worker
 from experiments import peers
 
@@ -110,10 +110,7 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("runs/evaluators"), help="folder of what is written")
     chosen = parser.parse_args()
-    available = (
-        sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    )
-    cores = available[-chosen.cores :]
+    cores = available()[-chosen.cores :]
     cases = _matrix.smoke if chosen.smoke else _matrix.full if chosen.full else _matrix.selection
     if chosen.figures:
         cases = _matrix.asked

@@ -7,7 +7,6 @@ gradient of a sum by all parameters): nanoseconds a pair, of 100 000. `reflect`:
 points under an environment map of 8 x 16. Medians of nine.
 """
 
-import os
 from collections.abc import Callable
 
 import equinox as eqx
@@ -15,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks._serve import clock, repeated
+from benchmarks._ours import directions
+from benchmarks._serve import available, claim, clock, repeated
 from benchmarks._smoke import parser
 from hshjax import (
     ABC,
@@ -31,6 +31,7 @@ from hshjax import (
     Ward,
     reflect,
 )
+from hshjax.brdfs._base import in_dtype
 
 PAIRS, POINTS, REPEATS = 100_000, 2000, 9
 
@@ -54,17 +55,15 @@ def models() -> dict[str, Callable]:
 
 def main() -> None:
     smoke = parser(__doc__).parse_args().smoke
-    if hasattr(os, "sched_setaffinity") and not smoke:
-        os.sched_setaffinity(0, [max(os.sched_getaffinity(0))])
+    cores = available()[-1:]
+    claim(cores)
     pairs, points, repeats = (64, 4, 1) if smoke else (PAIRS, POINTS, REPEATS)
-    now, rng = clock([0]), np.random.default_rng(0)
+    now, rng = clock(cores), np.random.default_rng(0)
 
-    def directions(count):
-        w = rng.normal(size=(count, 3))
-        w[:, 2] = np.abs(w[:, 2])
-        return jnp.asarray(w / np.linalg.norm(w, axis=1, keepdims=True), jnp.float32)
+    def some(count):
+        return jnp.asarray(directions(rng, count), jnp.float32)
 
-    wi, wo, normals = directions(pairs), directions(pairs), directions(points)
+    wi, wo, normals = some(pairs), some(pairs), some(points)
     light = EnvironmentMap(jnp.ones((8, 16, 3), jnp.float32), up="z")
     view = jnp.asarray([0, 0, 1], jnp.float32)
 
@@ -81,7 +80,7 @@ def main() -> None:
     }
     print(f"| lobe | {' | '.join(verbs)} |\n|{'---|' * (1 + len(verbs))}")
     for name, brdf in models().items():
-        brdf = jax.tree.map(lambda leaf: leaf.astype(jnp.float32) if eqx.is_inexact_array(leaf) else leaf, brdf)
+        brdf = in_dtype(brdf, jnp.float32)
         cells = []
         for verb, given, count in verbs.values():
             compiled = eqx.filter_jit(verb)

@@ -7,7 +7,6 @@ medians, and quartiles of the ratio to Mitsuba (variant `llvm_ad_rgb`, in the en
 that cannot be had here, the reason is printed and our side alone is measured.
 """
 
-import os
 import sys
 import tempfile
 from contextlib import ExitStack
@@ -17,6 +16,7 @@ import numpy as np
 
 from benchmarks import _workers
 from benchmarks._our_models import MODELS
+from benchmarks._serve import available
 from benchmarks._smoke import parser
 from benchmarks._workers import Worker
 from experiments import peers
@@ -35,7 +35,7 @@ def main() -> None:
     models = MODELS[2:] if chosen.smoke else MODELS
     if chosen.smoke:
         chosen.pairs, chosen.repeats = 64, 1
-    cores = sorted(os.sched_getaffinity(0))[-1:] if hasattr(os, "sched_getaffinity") else [0]
+    cores = available()[-1:]
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         path = chosen.file or f"{folder}/material.bsdf"
         if chosen.file is None and not chosen.smoke:

@@ -127,14 +127,14 @@ def frame(normal: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
     return jnp.stack([tangent, bitangent, normal], axis=-2)
 
 
-def rotated(turn: Float[Array, "... 3 3"], w: Float[Array, "... 3"]) -> Float[Array, "*batch 3"]:
-    """`turn` @ w; matrices and vectors broadcast. Written out as `dot` is: small products cost 20 times as much."""
-    return turn[..., 0] * w[..., :1] + turn[..., 1] * w[..., 1:2] + turn[..., 2] * w[..., 2:]
+def to_local(frame: Float[Array, "... 3 3"], w: Float[Array, "... 3"]) -> Float[Array, "*batch 3"]:
+    """`frame` @ w; matrices and vectors broadcast. Written out as `dot` is: small products cost 20 times as much."""
+    return frame[..., 0] * w[..., :1] + frame[..., 1] * w[..., 1:2] + frame[..., 2] * w[..., 2:]
 
 
-def rotated_back(turn: Float[Array, "... 3 3"], w: Float[Array, "... 3"]) -> Float[Array, "*batch 3"]:
-    """`turn`ᵀ @ w, from a frame back to the world."""
-    return turn[..., 0, :] * w[..., :1] + turn[..., 1, :] * w[..., 1:2] + turn[..., 2, :] * w[..., 2:]
+def to_world(frame: Float[Array, "... 3 3"], w: Float[Array, "... 3"]) -> Float[Array, "*batch 3"]:
+    """`frame`ᵀ @ w, the way back."""
+    return frame[..., 0, :] * w[..., :1] + frame[..., 1, :] * w[..., 1:2] + frame[..., 2, :] * w[..., 2:]
 
 
 def azimuth(w: Float[Array, "*batch 3"]) -> tuple[Float[Array, " *batch"], Float[Array, " *batch"]]:

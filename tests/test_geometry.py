@@ -12,10 +12,10 @@ from hshjax.geometry import (
     frame,
     half_vector,
     normalized,
-    rotated,
-    rotated_back,
     to_disk,
+    to_local,
     to_sphere,
+    to_world,
     upper,
 )
 from tests.helpers import DTYPE, X64, assert_close, directions
@@ -107,9 +107,9 @@ def test_dot_takes_all_components_there_are():
         )
 
 
-def test_rotated_is_a_product_and_back():
+def test_to_local_is_a_product_and_to_world_the_way_back():
     turn, w = frame(directions(0, 6)), directions(1, 6)
-    assert_close(rotated(turn, w), np.einsum("nij,nj->ni", turn, w))
-    assert_close(rotated_back(turn, rotated(turn, w)), w)
-    many = rotated(turn[:, None], jnp.stack([w, w], axis=1))
+    assert_close(to_local(turn, w), np.einsum("nij,nj->ni", turn, w))
+    assert_close(to_world(turn, to_local(turn, w)), w)
+    many = to_local(turn[:, None], jnp.stack([w, w], axis=1))
     assert_close(many, np.einsum("nij,nej->nei", turn, np.stack([w, w], axis=1)))

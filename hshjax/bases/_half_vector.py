@@ -14,6 +14,7 @@ from hshjax._special import (
     blockwise,
     contracted,
     jacobi_matrix,
+    multiply,
     powers,
     products,
     radial_tables,
@@ -214,8 +215,7 @@ def _factors(basis: HalfVectorBasis, wi: Array, wo: Array) -> tuple[Array, Array
     """Rows of `Layout.left` and of `Layout.right`, `(rows, pairs)`."""
     n = function_layout(basis.functions)
     chart = half_chart(basis.warp, wi, wo, basis.difference_warp)
-    re, im = chart.turn
-    azimuth = powers((re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
+    azimuth = powers(multiply(chart.turn, chart.turn), chart.turn, n.half.counts.size)
     return recurrence(n.left, 2 * chart.u - 1, azimuth), recurrence(n.right, 2 * chart.v - 1)
 
 
@@ -223,7 +223,7 @@ def _written_out_sums(basis: HalfVectorBasis, coefficients: Array, wi: Array, wo
     """Σ_p Σ_k V_k Σ_j c_jk U_j times cosine or sine."""
     n = function_layout(basis.functions)
 
-    def of_channel(coefficients, u, v, re, im):
+    def of_channel(coefficients, u, v, *turn):
         one = _written_out.one_by_one(coefficients)
 
         def series(p):
@@ -234,7 +234,7 @@ def _written_out_sums(basis: HalfVectorBasis, coefficients: Array, wi: Array, wo
                 here = np.flatnonzero((n.p == p) & (n.sine == sine)).tolist()
                 yield _written_out.bilinear(half, difference, ((n.j[t], n.k[t], one[t]) for t in here))
 
-        return _written_out.by_azimuth(series, (re * re - im * im, 2 * re * im), (re, im), n.half.counts.size)
+        return _written_out.by_azimuth(series, multiply(turn, turn), turn, n.half.counts.size)
 
     weighted = jnp.asarray(n.norm, wi.dtype)[:, None] * coefficients
 

@@ -121,9 +121,9 @@ class Parts(NamedTuple):
 
 
 def _values(static: Parts, *arrays: Array) -> Array:
-    basis, coefficients, wi, wo = jax.tree.unflatten(static.tree, arrays)
-    found = eqx.combine(static.basis, basis).written_out_sums(coefficients, wi, wo)
-    return _block_sums(static.basis, basis, coefficients, wi, wo) if found is None else found
+    of_basis, coefficients, wi, wo = jax.tree.unflatten(static.tree, arrays)
+    found = eqx.combine(static.basis, of_basis).written_out_sums(coefficients, wi, wo)
+    return _block_sums(static.basis, of_basis, coefficients, wi, wo) if found is None else found
 
 
 def _slope_of_values(static: Parts, primals, tangents) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from hshjax._special import powers
 from hshjax._typing import Array, Float
 from hshjax.bases._base import AbstractBasis, matmul
 from hshjax.bases._spherical import SphericalHarmonics
-from hshjax.geometry import azimuth, meridian_frame
+from hshjax.geometry import azimuth, dot, meridian_frame
 
 EXACT = jax.lax.Precision.HIGHEST
 """Matrix products at full precision on every device."""
@@ -72,7 +72,7 @@ def powers_of(re: Float[Array, " points"], im: Float[Array, " points"], orders: 
 def spin(turn: Float[Array, "*batch 3 3"]) -> tuple[Float[Array, " *batch"], Float[Array, " *batch"]]:
     """(cos β, sin β) of the turn about the normal that a frame differs by from the meridian's."""
     tangent = meridian_frame(turn[..., 2, :])[..., 0, :]
-    return jnp.sum(turn[..., 0, :] * tangent, axis=-1), -jnp.sum(turn[..., 1, :] * tangent, axis=-1)
+    return dot(turn[..., 0, :], tangent), -dot(turn[..., 1, :], tangent)
 
 
 def rotated(order: int, coefficients: Float[Array, "modes channels"], turn: Float[Array, "3 3"]) -> Array:

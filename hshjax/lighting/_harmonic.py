@@ -13,7 +13,7 @@ from hshjax.bases._base import matmul
 from hshjax.bases._rotation import rotated
 from hshjax.brdfs import Lambert
 from hshjax.brdfs._base import in_dtype
-from hshjax.geometry import rotated_back
+from hshjax.geometry import to_world
 from hshjax.lighting._base import AbstractLighting, Incident, Points
 from hshjax.lighting._environment import EnvironmentMap
 from hshjax.lighting._order import visible_order
@@ -73,7 +73,7 @@ class HarmonicLight(AbstractLighting):
     def incident(self, points: Points) -> Incident:
         light, rule = in_dtype(self, points.frame.dtype), self._rule(points.frame.dtype)
         # Rows of a frame are the local axes: its transpose takes local directions to the world.
-        w = rotated_back(points.frame[:, None], rule.w[None])
+        w = to_world(points.frame[:, None], rule.w[None])
         return Incident(w, light(w) * rule.weight[None, :, None])
 
     def __call__(self, w: Float[Array, "*batch 3"]) -> Real:

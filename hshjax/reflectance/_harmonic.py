@@ -43,7 +43,7 @@ from hshjax.bases._rotation import (
     turn_by,
 )
 from hshjax.brdfs import LinearBRDF
-from hshjax.geometry import azimuth, frame, meridian_frame, rotated
+from hshjax.geometry import azimuth, frame, meridian_frame, to_local
 from hshjax.lighting import HarmonicLight
 from hshjax.reflectance._harmonic_tables import (
     SOURCES,
@@ -91,7 +91,7 @@ def harmonic_radiance(
             turn = matmul(frame(normal), oblique.T)
         else:
             turn = meridian_frame(matmul(normal, oblique.T))
-        wo = rotated(turn, matmul(view, oblique.T))
+        wo = to_local(turn, matmul(view, oblique.T))
         above = ~(wo[:, 2:] <= 0)  # NaN is not below: it stays NaN
         wo = jnp.where(above, wo, jnp.zeros_like(wo).at[:, 2].set(1))
         value = _sum(problem, known[0], known[1], turn, problem.basis(wo))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction, Real
 from hshjax.camera import AbstractCamera
-from hshjax.geometry import frame, rotated, rotated_back, upper
+from hshjax.geometry import frame, to_local, to_world, upper
 from hshjax.lighting import AbstractLighting, EnvironmentMap, HarmonicLight
 from hshjax.reflectance._given import given
 from hshjax.reflectance._parts import lights_of
@@ -93,7 +93,7 @@ def _estimate(brdf, lights, proposals, normals, view, key, steps) -> tuple[Array
 def _of_points(brdf, lights, proposals, normals, view, key, steps) -> tuple[Array, Array]:
     """Mean and variance over steps, each of one direction from every proposal."""
     turn = frame(normals)
-    wo = rotated(turn, view)
+    wo = to_local(turn, view)
     seen = wo[:, 2:] > 0
     fixed = jax.lax.stop_gradient((wo, turn))
 
@@ -103,9 +103,9 @@ def _of_points(brdf, lights, proposals, normals, view, key, steps) -> tuple[Arra
         drawn = jnp.stack([p.draw(k, *fixed) for p, k in zip(proposals, keys, strict=True)], axis=1)
         density = sum(p.density(drawn, *fixed) for p in proposals) / len(proposals)
         # Directions stay in the world while normals turn: what they bring depends smoothly on the normals.
-        w = jax.lax.stop_gradient(rotated_back(fixed[1][:, None], drawn))
+        w = jax.lax.stop_gradient(to_world(fixed[1][:, None], drawn))
         weight = jax.lax.stop_gradient(jnp.where((density > 0) & seen, 1 / jnp.where(density > 0, density, 1), 0))
-        wi = rotated(turn[:, None], w)
+        wi = to_local(turn[:, None], w)
         radiance = sum(light(w) for light in lights)
         value = brdf(wi, jnp.broadcast_to(wo[:, None], wi.shape)) * upper(wi[..., 2:]) * radiance
         return jnp.mean(value * weight[..., None], axis=1)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float, Real
-from hshjax.geometry import dot, half_vector, rotated, rotated_back, upper
+from hshjax.geometry import dot, half_vector, to_local, to_world, upper
 from hshjax.lighting import EnvironmentMap
 
 
@@ -84,11 +84,11 @@ class MapProposal(AbstractProposal):
         above = edges[row] + down * (edges[row + 1] - edges[row])
         column = (index % width).astype(wo.dtype) + over
         w = self.environment.towards(jnp.arccos(above), 2 * np.pi * column / width)
-        return rotated(turn, w)
+        return to_local(turn, w)
 
     def density(self, wi, wo, turn):
         height, width, _ = self.environment.radiance.shape
-        w = rotated_back(turn[:, None], wi)
+        w = to_world(turn[:, None], wi)
         theta, around = self.environment.polar(w)
         row = jnp.minimum((theta / np.pi * height).astype(int), height - 1)
         column = jnp.minimum((around / (2 * np.pi) * width).astype(int), width - 1)

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from hshjax._typing import Array, Float, PairFunction
-from hshjax.geometry import frame, rotated, upper
+from hshjax.geometry import frame, to_local, upper
 from hshjax.lighting import AbstractLighting, Points
 from hshjax.reflectance._given import Given
 
@@ -39,6 +39,6 @@ def sum_over_emitters(
 
 def _radiance(brdf: PairFunction, lighting: AbstractLighting, points: Points, view: Float[Array, "n 3"]) -> Array:
     incident = lighting.incident(points)
-    wi = rotated(points.frame[:, None], incident.direction)
-    wo = jnp.broadcast_to(rotated(points.frame, view)[:, None], wi.shape)
+    wi = to_local(points.frame[:, None], incident.direction)
+    wo = jnp.broadcast_to(to_local(points.frame, view)[:, None], wi.shape)
     return jnp.sum(brdf(wi, wo) * upper(wi[..., 2:]) * incident.irradiance, axis=1)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from hshjax._typing import Array, Float
+from hshjax.geometry import dot
 
 RIM = 0.995
 """Largest radius that a normal is moved to, 0.3 degrees before the horizon of the camera."""
@@ -23,13 +24,13 @@ def to_chart(normals: Float[Array, "*batch 3"]) -> Float[Array, "*batch 2"]:
 
 def from_chart(pq: Float[Array, "*batch 2"]) -> Float[Array, "*batch 3"]:
     """Unit normals."""
-    square = jnp.sum(pq * pq, axis=-1, keepdims=True)
+    square = dot(pq, pq)[..., None]
     return jnp.concatenate([2 * pq, 1 - square], axis=-1) / (1 + square)
 
 
 def within(pq: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
     """Points of the disk, those beyond the rim moved inwards to it."""
-    radius = jnp.sqrt(jnp.sum(pq * pq, axis=-1, keepdims=True))
+    radius = jnp.sqrt(dot(pq, pq))[..., None]
     return jnp.where(radius > RIM, pq * (RIM / jnp.maximum(radius, RIM)), pq)
 
 
